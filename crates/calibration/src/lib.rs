@@ -1,0 +1,1 @@
+//! From correspondences and a nominal rig to a calibrated rig with its covariance.

@@ -1,0 +1,8 @@
+//! AKAZE keypoints and descriptors, matching and its filters.
+//!
+//! This crate knows images and matrices, and nothing of robots or poses: a predicted epipolar
+//! geometry comes in as a fundamental matrix.
+
+mod keypoint;
+
+pub use keypoint::{Descriptor, Features, KeyPoint, Match};

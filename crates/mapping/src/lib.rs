@@ -1,0 +1,1 @@
+//! From posed depth images to a map: point cloud, surface, occupancy.

@@ -1,0 +1,1 @@
+//! The virtual cell: scene, renderer, sensor noise, postures and perturbed arms.

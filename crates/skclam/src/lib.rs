@@ -1,0 +1,1 @@
+//! Simultaneous kinematic calibration, localization and mapping: datasets, the pipeline, evaluation.
