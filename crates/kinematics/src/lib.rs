@@ -1,1 +1,19 @@
 //! Serial chains in Denavit-Hartenberg and Hayati form: forward kinematics, Jacobians, inverse kinematics.
+//!
+//! This crate knows axes and joint values, and nothing of cameras or images. Metres and radians.
+
+mod chain;
+mod error;
+mod jacobian;
+mod link;
+
+pub use chain::{Joint, JointKind, SerialChain};
+pub use error::KinematicsError;
+pub use jacobian::ChainJacobian;
+pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
+
+/// A rigid transform `a_from_b`, metres.
+pub type Isometry3 = nalgebra::Isometry3<f64>;
+/// A twist `(v, omega)` in the base frame: a small change `s` of what it belongs to turns a pose `T` into
+/// `Exp(s (v, omega)) T`; `v` is the velocity of the point at the base's origin.
+pub type Twist = nalgebra::Vector6<f64>;

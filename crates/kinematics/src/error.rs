@@ -1,0 +1,47 @@
+//! What can go wrong with a chain.
+
+use crate::ParameterId;
+
+/// Why a chain could not be made or used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum KinematicsError {
+    /// The number of joint values is not the number of joints.
+    #[error("the chain has {need} joints, got {got} joint values")]
+    JointCount {
+        /// Joints of the chain.
+        need: usize,
+        /// Values given.
+        got: usize,
+    },
+    /// A parameter or joint value is infinite or not a number.
+    #[error("{what} is {value}; a finite number is needed")]
+    NotFinite {
+        /// What the value belongs to.
+        what: String,
+        /// The value as text.
+        value: String,
+    },
+    /// The link form has no such parameter.
+    #[error("joint {} has no parameter {parameter}", parameter.joint + 1)]
+    NoSuchParameter {
+        /// The parameter asked for.
+        parameter: ParameterId,
+    },
+    /// A Hayati link cannot carry a prismatic joint: it has no translation along its axis.
+    #[error("joint {joint} is prismatic, and the Hayati form has no translation along the axis; use a DH form")]
+    PrismaticHayati {
+        /// Joint, counted from 1.
+        joint: usize,
+    },
+    /// Lower limit above the upper one.
+    #[error("joint {joint}: the lower limit {lower} is above the upper limit {upper}")]
+    Limits {
+        /// Joint, counted from 1.
+        joint: usize,
+        /// Lower limit, rad or m.
+        lower: f64,
+        /// Upper limit, rad or m.
+        upper: f64,
+    },
+}
