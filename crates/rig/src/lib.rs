@@ -1,1 +1,14 @@
 //! A robot, its camera mount and its cameras as one value and as one file; postures.
+//!
+//! Everybody who speaks of "the rig" means [`Rig`]: the nominal one that comes in, the true one of a simulation, the
+//! calibrated one that goes out. This crate knows no image content, no estimator and no scene.
+
+mod board;
+mod posture;
+mod prior;
+mod rig;
+
+pub use board::{Board, BoardPattern};
+pub use posture::{Posture, PostureState};
+pub use prior::Prior;
+pub use rig::{Rig, RigError};

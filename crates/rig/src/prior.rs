@@ -1,0 +1,44 @@
+//! How far a parameter may be from its nominal value, in physical units, before the data are heard.
+
+use serde::{Deserialize, Serialize};
+
+/// Standard deviations of free parameters about their nominal values. `None`: the estimator's own default.
+///
+/// The units of the file are in the names; `[prior]` in `rig.toml`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Prior {
+    /// Angles of the arm, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle_deg: Option<f64>,
+    /// Lengths of the arm, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub length_mm: Option<f64>,
+    /// Rotation of the mount, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mount_rotation_deg: Option<f64>,
+    /// Translation of the mount, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mount_translation_mm: Option<f64>,
+    /// Focal lengths, as a fraction of themselves.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focal_relative: Option<f64>,
+    /// Principal point, pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub principal_point_px: Option<f64>,
+    /// Distortion coefficients.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distortion: Option<f64>,
+    /// Depth scale, as a fraction.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_scale_relative: Option<f64>,
+    /// Depth offset, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_offset_mm: Option<f64>,
+    /// Deviation of a revolute joint's value in one posture (encoder noise, backlash), degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint_deviation_deg: Option<f64>,
+    /// Time offset between joints and images, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_offset_s: Option<f64>,
+}
