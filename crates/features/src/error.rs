@@ -1,0 +1,41 @@
+//! What can go wrong in this crate.
+
+use thiserror::Error;
+
+/// Errors of detection, description, matching and refinement.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum FeaturesError {
+    /// An option lies outside of what the method can work with.
+    #[error("option `{option}` is {got}, expected {need}")]
+    BadOption {
+        /// Name of the field.
+        option: &'static str,
+        /// Its value.
+        got: String,
+        /// What was expected.
+        need: &'static str,
+    },
+    /// A mask must have the size of its image.
+    #[error("the mask is {mask_width}x{mask_height} but the image is {width}x{height}")]
+    MaskSize {
+        /// Width of the image in pixels.
+        width: u32,
+        /// Height of the image in pixels.
+        height: u32,
+        /// Width of the mask in pixels.
+        mask_width: u32,
+        /// Height of the mask in pixels.
+        mask_height: u32,
+    },
+    /// The scale space of the image would not fit into a sensible amount of memory.
+    #[error("the image is {width}x{height}, at most {max_pixels} pixels are supported")]
+    ImageTooLarge {
+        /// Width of the image in pixels.
+        width: u32,
+        /// Height of the image in pixels.
+        height: u32,
+        /// The limit in pixels.
+        max_pixels: u64,
+    },
+}
