@@ -4,11 +4,13 @@
 //! calibrated one that goes out. This crate knows no image content, no estimator and no scene.
 
 mod board;
+mod file;
 mod posture;
 mod prior;
 mod rig;
 
 pub use board::{Board, BoardPattern};
+pub use file::RigFileError;
 pub use posture::{Posture, PostureState};
 pub use prior::Prior;
 pub use rig::{Rig, RigError};

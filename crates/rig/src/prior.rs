@@ -42,3 +42,22 @@ pub struct Prior {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_offset_s: Option<f64>,
 }
+
+impl Prior {
+    /// Every entry with the name that it has in the file.
+    pub fn entries(&self) -> [(&'static str, Option<f64>); 11] {
+        [
+            ("angle_deg", self.angle_deg),
+            ("length_mm", self.length_mm),
+            ("mount_rotation_deg", self.mount_rotation_deg),
+            ("mount_translation_mm", self.mount_translation_mm),
+            ("focal_relative", self.focal_relative),
+            ("principal_point_px", self.principal_point_px),
+            ("distortion", self.distortion),
+            ("depth_scale_relative", self.depth_scale_relative),
+            ("depth_offset_mm", self.depth_offset_mm),
+            ("joint_deviation_deg", self.joint_deviation_deg),
+            ("time_offset_s", self.time_offset_s),
+        ]
+    }
+}
