@@ -38,4 +38,32 @@ pub enum FeaturesError {
         /// The limit in pixels.
         max_pixels: u64,
     },
+    /// A number that must be finite is not.
+    #[error("{what} holds {value}, which is not finite")]
+    NotFinite {
+        /// Where the number stands.
+        what: &'static str,
+        /// The number as text.
+        value: String,
+    },
+    /// Lists that run in parallel differ in length.
+    #[error("{what}: {got} were given, {need} are needed")]
+    CountMismatch {
+        /// Which list.
+        what: &'static str,
+        /// Its length.
+        got: usize,
+        /// The length that it must have.
+        need: usize,
+    },
+    /// An index points past the end of what it indexes.
+    #[error("{what} {index} does not exist, there are {count}")]
+    NoSuchIndex {
+        /// What is indexed.
+        what: &'static str,
+        /// The index.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
 }
