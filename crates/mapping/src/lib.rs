@@ -1,1 +1,21 @@
 //! From posed depth images to a map: point cloud, surface, occupancy.
+//!
+//! Poses and depth come in, a map goes out. This crate knows nothing of robots or of how the poses were found:
+//! every input is a [`View`], a depth image (and perhaps a colour image) with `base_from_color`.
+//! Maps live in the base frame, in metres.
+//!
+//! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
+//! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files.
+
+mod cloud;
+mod cloud_builder;
+mod error;
+mod ply;
+mod view;
+mod voxel;
+
+pub use cloud::{Model, PointCloud, TriangleMesh};
+pub use cloud_builder::{CloudBuilder, CloudOptions, UncoloredPoints};
+pub use error::Error;
+pub use ply::{read_ply, write_ply};
+pub use view::{DepthFilter, DepthNoise, View};
