@@ -44,4 +44,21 @@ pub enum KinematicsError {
         /// Upper limit, rad or m.
         upper: f64,
     },
+    /// The geometry has no closed-form inverse kinematics here.
+    #[error(
+        "no closed-form inverse kinematics: {reason}; needed are six revolute joints, axes 2 and 3 parallel, \
+         axes 4, 5 and 6 through one point (refine a nearby solution instead)"
+    )]
+    NoClosedForm {
+        /// What is missing, with its number.
+        reason: String,
+    },
+    /// An option that has to be positive and finite is not.
+    #[error("{option} is {value}; a positive finite number is needed")]
+    Option {
+        /// The option's name.
+        option: &'static str,
+        /// The value as text.
+        value: String,
+    },
 }

@@ -2,15 +2,23 @@
 //!
 //! This crate knows axes and joint values, and nothing of cameras or images. Metres and radians.
 
+#[cfg(test)]
+mod arms;
 mod chain;
 mod error;
 mod jacobian;
 mod link;
+mod refinement;
+mod spherical_wrist;
+mod turns;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
 pub use jacobian::ChainJacobian;
 pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
+pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
+pub use spherical_wrist::{Elbow, Shoulder, SphericalWristSolution, Wrist, spherical_wrist_solutions};
+pub use turns::nearby;
 
 /// A rigid transform `a_from_b`, metres.
 pub type Isometry3 = nalgebra::Isometry3<f64>;
