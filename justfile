@@ -1,0 +1,29 @@
+# Habits. `just` lists them. Cargo alone does as well; each recipe is one or two plain commands.
+
+default:
+    @just --list
+
+# All tests, as the README and .ci/run have them.
+test *ARGS:
+    cargo test --workspace --release {{ ARGS }}
+
+# Clippy on everything, warnings are errors; then licences, duplicates and origins of dependencies (needs cargo-deny).
+lint:
+    cargo clippy --workspace --all-targets --release -- -D warnings
+    cargo deny --locked check bans licenses sources
+
+# Format all code.
+fmt:
+    cargo fmt --all
+
+# The documentation of all crates; `just docs --open` shows it.
+docs *ARGS:
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --release {{ ARGS }}
+
+# The paper's tables from the virtual cell; `just reproduce --quick` for the short version.
+reproduce *ARGS:
+    cargo run --release --bin skclam -- reproduce --out out/reproduce {{ ARGS }}
+
+# Everything that must hold before a change lands.
+ci:
+    bash .ci/run
