@@ -1,0 +1,169 @@
+//! The calibrated state: a rig and the corrections that a rig file has no place for.
+
+use crate::{CalibrationError, Parameter};
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+use skclam_rig::Rig;
+
+/// `z = offset + scale z_measured`, metres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DepthCorrection {
+    /// Dimensionless.
+    pub scale: f64,
+    /// Metres.
+    pub offset_m: f64,
+}
+
+impl Default for DepthCorrection {
+    fn default() -> Self {
+        DepthCorrection { scale: 1.0, offset_m: 0.0 }
+    }
+}
+
+/// What a joint does beside its encoder: `q + gear_sin sin(q) + gear_cos cos(q) + compliance * lever`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct JointCorrection {
+    /// Radians.
+    pub gear_sin: f64,
+    /// Radians.
+    pub gear_cos: f64,
+    /// Radians a metre of lever arm.
+    pub compliance: f64,
+}
+
+/// A rig and the corrections that a rig file has no place for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// Arm, mount, cameras. Its depth camera's unit is untouched: see `depth`, and [`Model::corrected_rig`].
+    pub rig: Rig,
+    /// Of the measured depth.
+    pub depth: DepthCorrection,
+    /// Seconds by which the joints must be taken later than the posture's timestamp says.
+    pub time_offset_s: f64,
+    /// One a joint; empty without an arm.
+    pub joints: Vec<JointCorrection>,
+}
+
+impl Model {
+    /// A rig without corrections.
+    pub fn new(rig: Rig) -> Self {
+        let joints = rig.robot.as_ref().map_or(0, |robot| robot.joint_count());
+        Model {
+            rig,
+            depth: DepthCorrection::default(),
+            time_offset_s: 0.0,
+            joints: vec![JointCorrection::default(); joints],
+        }
+    }
+
+    /// The rig with the depth scale worked into its depth camera's unit (the offset has no place there).
+    pub fn corrected_rig(&self) -> Rig {
+        let mut rig = self.rig.clone();
+        if let Some(depth) = &mut rig.depth {
+            depth.unit_m *= self.depth.scale;
+        }
+        rig
+    }
+
+    /// A parameter's value in its unit. A mount rotation is relative to `nominal`'s mount: the rotation vector from that to this
+    /// in the flange's axes. `None` where there is no such joint or parameter.
+    pub fn value(&self, nominal: &Rig, parameter: Parameter) -> Option<f64> {
+        Some(match parameter {
+            Parameter::Chain(id) => self.rig.robot.as_ref()?.parameter(id)?,
+            Parameter::Mount(component) if component.is_rotation() => {
+                let change = self.rig.flange_from_color.rotation * nominal.flange_from_color.rotation.inverse();
+                change.scaled_axis()[component.axis()]
+            }
+            Parameter::Mount(component) => self.rig.flange_from_color.translation.vector[component.axis()],
+            Parameter::Intrinsic(intrinsic) => self.rig.color.intrinsics()[intrinsic as usize],
+            Parameter::DepthScale => self.depth.scale,
+            Parameter::DepthOffset => self.depth.offset_m,
+            Parameter::TimeOffset => self.time_offset_s,
+            Parameter::GearSin(joint) => self.joints.get(joint)?.gear_sin,
+            Parameter::GearCos(joint) => self.joints.get(joint)?.gear_cos,
+            Parameter::Compliance(joint) => self.joints.get(joint)?.compliance,
+        })
+    }
+
+    /// The model after a step: `delta[k]` is added to `parameters[k]`. Rotations of the mount are composed as one rotation vector in
+    /// the flange's axes, `Exp(delta) R`, so that a step from here is always small and has no singularity.
+    pub fn stepped(&self, parameters: &[Parameter], delta: &[f64]) -> Result<Model, CalibrationError> {
+        let mut model = self.clone();
+        let mut turn = Vector3::zeros();
+        let mut intrinsics = self.rig.color.intrinsics();
+        for (&parameter, &change) in parameters.iter().zip(delta) {
+            let missing = || CalibrationError::NoSuchParameter { parameter, reason: "no such joint".to_owned() };
+            match parameter {
+                Parameter::Chain(id) => {
+                    let robot = model.rig.robot.as_mut().ok_or_else(missing)?;
+                    let value = robot.parameter(id).ok_or_else(missing)? + change;
+                    robot.set_parameter(id, value)?;
+                }
+                Parameter::Mount(component) if component.is_rotation() => turn[component.axis()] += change,
+                Parameter::Mount(component) => {
+                    model.rig.flange_from_color.translation.vector[component.axis()] += change;
+                }
+                Parameter::Intrinsic(intrinsic) => intrinsics[intrinsic as usize] += change,
+                Parameter::DepthScale => model.depth.scale += change,
+                Parameter::DepthOffset => model.depth.offset_m += change,
+                Parameter::TimeOffset => model.time_offset_s += change,
+                Parameter::GearSin(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.gear_sin += change,
+                Parameter::GearCos(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.gear_cos += change,
+                Parameter::Compliance(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.compliance += change,
+            }
+        }
+        model.rig.color = model.rig.color.with_intrinsics(intrinsics);
+        if turn != Vector3::zeros() {
+            let mut rotation = UnitQuaternion::from_scaled_axis(turn) * self.rig.flange_from_color.rotation;
+            rotation.renormalize();
+            model.rig.flange_from_color.rotation = rotation;
+        }
+        Ok(model)
+    }
+
+    /// `nominal` with the parameters set to values: the inverse of reading [`Model::value`] one by one.
+    pub fn with_values(nominal: &Rig, parameters: &[Parameter], values: &[f64]) -> Result<Model, CalibrationError> {
+        let model = Model::new(nominal.clone());
+        let delta: Vec<f64> = parameters
+            .iter()
+            .zip(values)
+            .map(|(&parameter, value)| {
+                model
+                    .value(nominal, parameter)
+                    .map(|from| value - from)
+                    .ok_or_else(|| CalibrationError::NoSuchParameter { parameter, reason: "no such joint".to_owned() })
+            })
+            .collect::<Result<_, _>>()?;
+        model.stepped(parameters, &delta)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Free;
+    use crate::synthetic::hp3j;
+
+    #[test]
+    fn values_that_were_set_are_read_back() {
+        let nominal = hp3j();
+        let mut parameters = Free::All.candidates(&nominal, true, true).unwrap();
+        parameters.extend([
+            Parameter::TimeOffset,
+            Parameter::GearSin(1),
+            Parameter::GearCos(5),
+            Parameter::Compliance(2),
+        ]);
+        let start = Model::new(nominal.clone());
+        let values: Vec<f64> = parameters
+            .iter()
+            .enumerate()
+            .map(|(k, &p)| start.value(&nominal, p).unwrap() + 0.01 * (1.0 + k as f64))
+            .collect();
+        let model = Model::with_values(&nominal, &parameters, &values).unwrap();
+        for (&parameter, value) in parameters.iter().zip(&values) {
+            assert!((model.value(&nominal, parameter).unwrap() - value).abs() < 1e-12, "{parameter}");
+        }
+        assert!(Model::with_values(&nominal, &[Parameter::GearSin(6)], &[0.0]).is_err());
+    }
+}

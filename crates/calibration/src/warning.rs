@@ -1,0 +1,114 @@
+//! What a person should hear of, though it is no error.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// A condition that a person should hear of, with its numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Warning {
+    /// Two postures of a pair lie so close together that there is no epipolar geometry; the pair was skipped.
+    NoBaseline {
+        /// Position of the first posture.
+        a: usize,
+        /// Position of the second posture.
+        b: usize,
+        /// Distance of the camera centres, metres.
+        baseline_m: f64,
+    },
+    /// A pair has hardly any matches.
+    FewMatches {
+        /// Position of the first posture.
+        a: usize,
+        /// Position of the second posture.
+        b: usize,
+        /// How many matches it has.
+        matches: usize,
+    },
+    /// More than half of the correspondences do not fit.
+    ManyOutliers {
+        /// Fraction that does not fit.
+        fraction: f64,
+    },
+    /// A posture fits far worse than the others: wrong joints, a bumped camera, a moved scene.
+    SuspectPosture {
+        /// Position of the posture.
+        posture: usize,
+        /// Its index in the recording.
+        index: u64,
+        /// Fraction of its observations that do not fit.
+        outlier_fraction: f64,
+        /// Median residual of the posture, in units of the common sigma.
+        median_sigmas: f64,
+        /// Whether it was left out of the estimate.
+        left_out: bool,
+    },
+    /// A posture is seen by no usable correspondence.
+    UnseenPosture {
+        /// Position of the posture.
+        posture: usize,
+        /// Its index in the recording.
+        index: u64,
+    },
+    /// Only flange poses are known, so the arm's parameters cannot be had.
+    FlangePosesOnly,
+    /// Tracks that name a posture twice lost the later observations.
+    RepeatedPosture {
+        /// Number of observations that were dropped.
+        observations: usize,
+    },
+    /// Joint deviations were not estimated because there are too many postures.
+    DeviationsOff {
+        /// Number of unknowns it would have taken.
+        unknowns: usize,
+        /// The limit.
+        limit: usize,
+    },
+    /// The solver did not converge.
+    NotConverged {
+        /// How it ended.
+        reason: String,
+    },
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Warning::NoBaseline { a, b, baseline_m } => write!(
+                f,
+                "postures {a} and {b} are {:.2} mm apart: no epipolar geometry, the pair was skipped; move the arm further",
+                baseline_m * 1e3
+            ),
+            Warning::FewMatches { a, b, matches } => {
+                write!(f, "postures {a} and {b} share only {matches} matches; more overlap or texture would help")
+            }
+            Warning::ManyOutliers { fraction } => {
+                write!(
+                    f,
+                    "{:.0} % of the correspondences do not fit; check the matches and the nominal rig",
+                    fraction * 100.0
+                )
+            }
+            Warning::SuspectPosture { posture, index, outlier_fraction, median_sigmas, left_out } => write!(
+                f,
+                "posture {posture} (index {index}) does not fit: {:.0} % outliers, median {median_sigmas:.1} sigma; {}; check its joint values and the camera's seat",
+                outlier_fraction * 100.0,
+                if *left_out { "left out" } else { "down-weighted" }
+            ),
+            Warning::UnseenPosture { posture, index } => {
+                write!(f, "posture {posture} (index {index}) has no usable correspondence")
+            }
+            Warning::FlangePosesOnly => {
+                write!(f, "only flange poses are known: the mount can be calibrated, the arm's parameters cannot")
+            }
+            Warning::RepeatedPosture { observations } => {
+                write!(f, "{observations} observations were dropped because their track names a posture twice")
+            }
+            Warning::DeviationsOff { unknowns, limit } => {
+                write!(f, "joint deviations were left at zero: {unknowns} unknowns exceed the limit of {limit}")
+            }
+            Warning::NotConverged { reason } => write!(f, "the solver {reason}"),
+        }
+    }
+}
