@@ -3,10 +3,14 @@
 //! This crate knows images and matrices, and nothing of robots or poses: a predicted epipolar
 //! geometry comes in as a fundamental matrix.
 
+pub mod akaze;
 mod error;
+pub mod filter;
 mod keypoint;
 pub mod matching;
 
+pub use akaze::{Akaze, AkazeOptions};
 pub use error::FeaturesError;
+pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions, match_and_filter};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};

@@ -2,7 +2,7 @@
 //! 3.2.2).
 //!
 //! The paper calls the distance Euclidean; AKAZE's descriptor is binary and its distance is Hamming's.
-//! The filters that need positions, and the paper's whole chain in its order, are in `filter`;
+//! The filters that need positions, and the paper's whole chain in its order, are in [`filter`](crate::filter);
 //! matching along predicted epipolar lines is in `guided`.
 
 mod kernel;
@@ -43,7 +43,9 @@ impl MatchOptions {
 
     /// Whether the distances pass the ratio test.
     pub(crate) fn passes_ratio(&self, distance: u32, second_distance: u32) -> bool {
-        self.ratio >= 1.0 || second_distance == u32::MAX || f64::from(distance) < self.ratio * f64::from(second_distance)
+        self.ratio >= 1.0
+            || second_distance == u32::MAX
+            || f64::from(distance) < self.ratio * f64::from(second_distance)
     }
 }
 
@@ -99,8 +101,12 @@ pub fn match_descriptors(
 
 /// The candidates from A to B that pass the distance limit and the ratio test.
 pub(crate) fn unusual(nearest: &TwoNearest, options: &MatchOptions, count_a: usize, count_b: usize) -> Matching {
-    let mut counts =
-        MatchCounts { keypoints_a: count_a, keypoints_b: count_b, candidates: nearest.of_a.len(), ..Default::default() };
+    let mut counts = MatchCounts {
+        keypoints_a: count_a,
+        keypoints_b: count_b,
+        candidates: nearest.of_a.len(),
+        ..Default::default()
+    };
     let candidates = nearest.of_a.iter().zip(0..).map(|(nearest, a)| Match {
         a,
         b: nearest.index,

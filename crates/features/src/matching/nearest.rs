@@ -227,7 +227,8 @@ mod tests {
     /// What the module computes, written for reading.
     fn plain(a: &[Descriptor], b: &[Descriptor]) -> Vec<Nearest> {
         let nearest = |row: &Descriptor| {
-            let mut all: Vec<(u32, u32)> = b.iter().zip(0..).map(|(other, index)| (row.hamming(other), index)).collect();
+            let mut all: Vec<(u32, u32)> =
+                b.iter().zip(0..).map(|(other, index)| (row.hamming(other), index)).collect();
             all.sort_unstable();
             Nearest { index: all[0].1, distance: all[0].0, second_distance: all.get(1).map_or(u32::MAX, |next| next.0) }
         };
