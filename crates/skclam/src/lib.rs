@@ -1,1 +1,7 @@
 //! Simultaneous kinematic calibration, localization and mapping: datasets, the pipeline, evaluation.
+
+pub mod dataset;
+pub mod evaluation;
+pub mod output;
+pub mod progress;
+pub mod trajectory;

@@ -1,0 +1,118 @@
+//! A dataset is a folder: `rig.toml`, `postures.csv`, colour images and depth images.
+//!
+//! Opening one reads the rig and the table and looks at the header of every image, so that what is wrong with a folder
+//! is told before any work is done. Pixels are decoded when they are asked for.
+
+mod error;
+mod images;
+mod postures;
+
+pub use error::DatasetError;
+pub use images::write_depth_png;
+pub use postures::{PostureRecord, read_postures, write_postures};
+
+use image::{GrayImage, RgbImage};
+use skclam_geometry::DepthImage;
+use skclam_rig::{PostureState, Rig};
+use std::path::{Path, PathBuf};
+
+/// A folder with a recording: nominal rig, postures, images.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    /// The folder.
+    pub folder: PathBuf,
+    /// The nominal rig.
+    pub rig: Rig,
+    /// One record a posture, in the order of the file.
+    pub records: Vec<PostureRecord>,
+}
+
+impl Dataset {
+    /// Opens a folder with the rig that lies in it.
+    pub fn open(folder: impl AsRef<Path>) -> Result<Dataset, DatasetError> {
+        let folder = folder.as_ref();
+        let rig_path = folder.join("rig.toml");
+        if !folder.is_dir() {
+            return Err(DatasetError::NoFolder { path: folder.to_owned() });
+        }
+        Self::open_with_rig(folder, Rig::read(rig_path)?)
+    }
+
+    /// Opens a folder with another rig in place of the one that lies in it.
+    pub fn open_with_rig(folder: impl AsRef<Path>, rig: Rig) -> Result<Dataset, DatasetError> {
+        let folder = folder.as_ref();
+        let records = read_postures(&folder.join("postures.csv"))?;
+        let dataset = Dataset { folder: folder.to_owned(), rig, records };
+        dataset.check()?;
+        Ok(dataset)
+    }
+
+    /// Number of postures.
+    pub fn len(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Whether there is no posture; an opened dataset has at least two.
+    pub fn is_empty(&self) -> bool {
+        self.records.is_empty()
+    }
+
+    /// Whether the joints are known at every posture, so that the arm can be calibrated.
+    pub fn has_joints(&self) -> bool {
+        self.records.iter().all(|record| matches!(record.posture.state, PostureState::Joints(_)))
+    }
+
+    /// Decodes the colour image of a posture.
+    pub fn color(&self, index: usize) -> Result<RgbImage, DatasetError> {
+        images::read_color(&self.folder.join(&self.records[index].color), &self.rig.color)
+    }
+
+    /// Decodes the colour image of a posture as grey values.
+    pub fn gray(&self, index: usize) -> Result<GrayImage, DatasetError> {
+        images::read_gray(&self.folder.join(&self.records[index].color), &self.rig.color)
+    }
+
+    /// Decodes the depth image of a posture; `None` where the posture has none.
+    pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
+        match (&self.records[index].depth, &self.rig.depth) {
+            (Some(path), Some(camera)) => images::read_depth(&self.folder.join(path), camera).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// The mask of the colour camera that the rig names: 0 where it sees what moves with it.
+    pub fn color_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
+        let Some(name) = &self.rig.color_mask else { return Ok(None) };
+        images::read_gray(&self.folder.join(name), &self.rig.color).map(Some)
+    }
+
+    /// The mask of the depth camera that the rig names.
+    pub fn depth_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
+        match (&self.rig.depth_mask, &self.rig.depth) {
+            (Some(name), Some(depth)) => images::read_gray(&self.folder.join(name), &depth.camera).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    fn check(&self) -> Result<(), DatasetError> {
+        let table = self.folder.join("postures.csv");
+        if self.records.len() < 2 {
+            return Err(DatasetError::TooFewPostures { path: table, got: self.records.len() });
+        }
+        for (row, record) in self.records.iter().enumerate() {
+            self.rig.base_from_color(&record.posture).map_err(|source| DatasetError::Posture {
+                path: table.clone(),
+                line: row + 2,
+                source,
+            })?;
+            images::check_header(&self.folder.join(&record.color), &self.rig.color, "color")?;
+            if let Some(depth) = &record.depth {
+                let Some(camera) = &self.rig.depth else {
+                    return Err(DatasetError::DepthWithoutCamera { path: table, line: row + 2 });
+                };
+                images::check_header(&self.folder.join(depth), &camera.camera, "depth")?;
+            }
+        }
+        Ok(())
+    }
+}

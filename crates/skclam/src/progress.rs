@@ -1,0 +1,58 @@
+//! How a long run tells how far it is, and how it is asked to stop.
+
+use std::fmt;
+
+/// The stages of a run, in the paper's order (section 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Stage {
+    /// Rendering the virtual cell.
+    Simulate,
+    /// Detecting and describing keypoints, section 3.2.
+    ExtractFeatures,
+    /// Matching pairs of images, section 3.2.
+    MatchPairs,
+    /// Joining matches to tracks and refining them.
+    BuildTracks,
+    /// Estimating the rig, section 3.3.
+    Calibrate,
+    /// Fusing the depth images, section 4.1.2.
+    Map,
+    /// Comparing with a known truth.
+    Evaluate,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Stage::Simulate => "simulate",
+            Stage::ExtractFeatures => "features",
+            Stage::MatchPairs => "match",
+            Stage::BuildTracks => "tracks",
+            Stage::Calibrate => "calibrate",
+            Stage::Map => "map",
+            Stage::Evaluate => "evaluate",
+        })
+    }
+}
+
+/// What a run reports to while it works. All methods may be called from several threads.
+pub trait Progress: Sync {
+    /// A stage begins that has `total` steps.
+    fn begin(&self, stage: Stage, total: u64);
+    /// One more step of the current stage is done.
+    fn step(&self);
+    /// Whether the run should stop; asked often, and answered by ending with an error and no half-written result.
+    fn stop_requested(&self) -> bool;
+}
+
+/// Reports to nobody and never stops.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _: Stage, _: u64) {}
+    fn step(&self) {}
+    fn stop_requested(&self) -> bool {
+        false
+    }
+}
