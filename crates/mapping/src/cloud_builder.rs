@@ -5,6 +5,7 @@
 //! voxel; each shard takes its points in image order, and the result is ordered by voxel: the same bytes on any number
 //! of threads.
 
+use crate::normals::{NormalWindow, normals_in_depth};
 use crate::view::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, PointCloud, View};
@@ -27,6 +28,17 @@ pub enum UncoloredPoints {
     Drop,
 }
 
+/// Whether points get normals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PointNormals {
+    /// From the slope of inverse depth around each pixel; where there is none to be had, towards the camera.
+    #[default]
+    Fitted,
+    /// No normals.
+    None,
+}
+
 /// How a cloud is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -39,6 +51,8 @@ pub struct CloudOptions {
     pub min_pixels_per_voxel: u32,
     /// What becomes of points that the colour image does not show.
     pub uncolored: UncoloredPoints,
+    /// Whether points get normals, fitted to their surroundings in the depth image.
+    pub normals: PointNormals,
     /// Memory that the cloud may take while it is built, MiB.
     pub memory_limit_mib: u64,
 }
@@ -50,6 +64,7 @@ impl Default for CloudOptions {
             voxel_m: Some(0.003),
             min_pixels_per_voxel: 1,
             uncolored: UncoloredPoints::Grey,
+            normals: PointNormals::Fitted,
             memory_limit_mib: 1024,
         }
     }
@@ -60,6 +75,7 @@ impl Default for CloudOptions {
 struct Sample {
     point_in_base: [f64; 3],
     weight: f32,
+    normal_in_base: [f32; 3],
     color: Option<[f32; 3]>,
 }
 
@@ -68,6 +84,7 @@ struct Sample {
 struct Cell {
     offset: [f32; 3],
     weight: f32,
+    normal: [f32; 3],
     color: [f32; 3],
     color_weight: f32,
     pixels: u32,
@@ -159,6 +176,9 @@ impl CloudBuilder {
                 (f64::from(corner[axis]) * voxel_m + f64::from(cell.offset[axis] / cell.weight)) as f32
             }));
             cloud.colors.push(color.map(to_byte));
+            if self.options.normals == PointNormals::Fitted {
+                cloud.normals.push(unit_or_up(cell.normal));
+            }
         }
         cloud
     }
@@ -167,6 +187,11 @@ impl CloudBuilder {
         let filter = &self.options.filter;
         let depth = view.believed_depth(filter);
         let width = view.depth.width().max(1) as usize;
+        let normals = match self.options.normals {
+            PointNormals::Fitted => normals_in_depth(&depth, rays, filter, NormalWindow { radius: 4, stride: 1 }),
+            PointNormals::None => Vec::new(),
+        };
+        let base_from_depth = view.base_from_depth().rotation.cast::<f32>();
         // Weights are relative to that at 1 m: inverse variance of the depth noise.
         let sigma_at_1m = filter.noise.sigma(1.0);
         depth
@@ -182,7 +207,12 @@ impl CloudBuilder {
                     }
                     let weight = (sigma_at_1m / filter.noise.sigma(f64::from(z))).powi(2) as f32;
                     let point_in_base = (view.base_from_color * point_in_color).coords.into();
-                    samples.push(Sample { point_in_base, weight, color });
+                    let normal_in_base = normals.get(y * width + x).map_or([0.0; 3], |normal| {
+                        let towards_camera = -rays.direction(y * width + x).normalize();
+                        let normal = if normal.norm_squared() > 0.0 { *normal } else { towards_camera };
+                        (base_from_depth * normal).into()
+                    });
+                    samples.push(Sample { point_in_base, weight, normal_in_base, color });
                 }
                 samples
             })
@@ -193,6 +223,9 @@ impl CloudBuilder {
         for sample in rows.iter().flatten() {
             self.raw.points.push(sample.point_in_base.map(|value| value as f32));
             self.raw.colors.push(sample.color.unwrap_or([NEUTRAL_GREY; 3]).map(to_byte));
+            if self.options.normals == PointNormals::Fitted {
+                self.raw.normals.push(sample.normal_in_base);
+            }
         }
     }
 
@@ -208,6 +241,7 @@ impl CloudBuilder {
                 for (axis, corner) in key.index().into_iter().enumerate() {
                     let offset = sample.point_in_base[axis] - f64::from(corner) * voxel_m;
                     cell.offset[axis] += sample.weight * offset as f32;
+                    cell.normal[axis] += sample.weight * sample.normal_in_base[axis];
                 }
                 cell.weight += sample.weight;
                 cell.pixels += 1;
@@ -226,6 +260,7 @@ impl CloudBuilder {
         // A hash table keeps up to twice as many places as it has entries, and one byte more for each.
         let table: usize = self.shards.iter().map(|shard| shard.capacity() * (size_of::<(VoxelKey, Cell)>() + 1)).sum();
         let raw = self.raw.points.capacity() * size_of::<[f32; 3]>() + self.raw.colors.capacity() * 3;
+        let raw = raw + self.raw.normals.capacity() * size_of::<[f32; 3]>();
         if (table + raw) as u64 > self.options.memory_limit_mib << 20 {
             return Err(Error::MemoryLimit {
                 limit_mib: self.options.memory_limit_mib,
@@ -235,6 +270,12 @@ impl CloudBuilder {
         }
         Ok(())
     }
+}
+
+/// Normals of opposite sides of a thin thing may cancel out; any unit vector is better than none then.
+fn unit_or_up(sum: [f32; 3]) -> [f32; 3] {
+    let norm = sum.iter().map(|value| value * value).sum::<f32>().sqrt();
+    if norm > 1e-6 { sum.map(|value| value / norm) } else { [0.0, 0.0, 1.0] }
 }
 
 pub(crate) fn to_byte(value: f32) -> u8 {
@@ -265,6 +306,11 @@ mod tests {
         let cloud = builder.finish();
         cloud.check().unwrap();
         assert!(cloud.points.iter().all(|point| (point[2] - 1.001).abs() < 1e-6));
+        assert!(
+            cloud.normals[..64 * 48].iter().all(|normal| (normal[2] + 1.0).abs() < 1e-3),
+            "towards the first camera"
+        );
+        assert!(cloud.normals[64 * 48..].iter().all(|normal| (normal[2] - 1.0).abs() < 1e-3), "towards the second one");
         assert!(cloud.colors.contains(&[10, 20, 30]));
         assert!(cloud.colors.contains(&[128; 3]), "the baseline leaves a strip without colour");
     }

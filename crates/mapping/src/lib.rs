@@ -5,17 +5,21 @@
 //! Maps live in the base frame, in metres.
 //!
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
+//! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files.
 
 mod cloud;
 mod cloud_builder;
 mod error;
+mod normals;
 mod ply;
+mod render;
 mod view;
 mod voxel;
 
 pub use cloud::{Model, PointCloud, TriangleMesh};
-pub use cloud_builder::{CloudBuilder, CloudOptions, UncoloredPoints};
+pub use cloud_builder::{CloudBuilder, CloudOptions, PointNormals, UncoloredPoints};
 pub use error::Error;
 pub use ply::{read_ply, write_ply};
+pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
 pub use view::{DepthFilter, DepthNoise, View};

@@ -244,6 +244,21 @@ impl Rays {
         self.camera == *camera
     }
 
+    /// Columns of the image.
+    pub(crate) fn width(&self) -> usize {
+        self.camera.width as usize
+    }
+
+    /// The direction of a pixel (row-major index).
+    pub(crate) fn direction(&self, index: usize) -> Vector3<f32> {
+        self.directions[index]
+    }
+
+    /// Width and height of a pixel in the normalised image at the principal point.
+    pub(crate) fn pixel_pitch(&self) -> (f32, f32) {
+        (1.0 / self.camera.fx as f32, 1.0 / self.camera.fy as f32)
+    }
+
     /// The point at a depth on the ray of a pixel (row-major index), in the camera's frame.
     pub(crate) fn point(&self, index: usize, depth_m: f32) -> Point3 {
         Point3::from(self.directions[index].cast::<f64>() * f64::from(depth_m))

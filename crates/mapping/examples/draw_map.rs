@@ -1,0 +1,45 @@
+//! Piles a dataset up into a cloud and draws it from several sides.
+//!
+//! `cargo run --release -p skclam-mapping --example draw_map -- ../shared/data/virtual-cell OUT_DIR [VOXEL_MM]`
+
+#[path = "../tests/dataset/mod.rs"]
+mod dataset;
+
+use skclam_mapping::{CloudBuilder, CloudOptions, Model, RenderCamera, RenderOptions, ViewPreset, render, write_ply};
+use std::error::Error;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let folder = PathBuf::from(arguments.next().ok_or("the dataset's folder is needed")?);
+    let out = PathBuf::from(arguments.next().ok_or("a folder for the pictures is needed")?);
+    let voxel_m = arguments.next().map_or(Ok(3.0), |text| text.parse::<f64>())? / 1000.0;
+    let dataset = dataset::load(&folder, usize::MAX);
+    std::fs::create_dir_all(&out)?;
+
+    let start = Instant::now();
+    let mut builder = CloudBuilder::new(CloudOptions { voxel_m: Some(voxel_m), ..Default::default() })?;
+    let mut pixels = 0;
+    for index in 0..dataset.shots.len() {
+        pixels += builder.add(&dataset.view(index))?;
+    }
+    let model = Model::Cloud(builder.finish());
+    println!("{} views, {pixels} pixels, {} points, {:?}", dataset.shots.len(), model.points().len(), start.elapsed());
+    write_ply(&model, BufWriter::new(File::create(out.join("map.ply"))?))?;
+
+    use ViewPreset::*;
+    let options = RenderOptions { point_radius_m: voxel_m, ..Default::default() };
+    for preset in [Front, Top, Left, Isometric, Perspective] {
+        let start = Instant::now();
+        let picture = render(&model, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
+        let path = out.join(format!("{preset:?}.png").to_lowercase());
+        picture.save(&path)?;
+        println!("{} {:?}", path.display(), start.elapsed());
+    }
+    let eye = RenderCamera::from_camera(&dataset.color_camera, dataset.shots[0].base_from_color);
+    render(&model, &eye, &options)?.save(out.join("shot0.png"))?;
+    Ok(())
+}
