@@ -3,5 +3,6 @@
 pub mod dataset;
 pub mod evaluation;
 pub mod output;
+pub mod pipeline;
 pub mod progress;
 pub mod trajectory;
