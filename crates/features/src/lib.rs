@@ -6,11 +6,13 @@
 pub mod akaze;
 mod error;
 pub mod filter;
+pub mod guided;
 mod keypoint;
 pub mod matching;
 
 pub use akaze::{Akaze, AkazeOptions};
 pub use error::FeaturesError;
 pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions, match_and_filter};
+pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};

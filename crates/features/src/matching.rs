@@ -3,7 +3,7 @@
 //!
 //! The paper calls the distance Euclidean; AKAZE's descriptor is binary and its distance is Hamming's.
 //! The filters that need positions, and the paper's whole chain in its order, are in [`filter`](crate::filter);
-//! matching along predicted epipolar lines is in `guided`.
+//! matching along predicted epipolar lines is in [`guided`](crate::guided).
 
 mod kernel;
 mod nearest;
@@ -13,12 +13,16 @@ pub use nearest::{Nearest, TwoNearest, two_nearest};
 use crate::{Descriptor, FeaturesError, Match};
 use serde::{Deserialize, Serialize};
 
+/// Stands in for the second distance in the ratio test where there is no second neighbour: half of the bits, which is
+/// what descriptors that have nothing to do with each other differ by on average.
+pub const UNRELATED_DISTANCE: u32 = 243;
+
 /// Which nearest neighbours are believed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {
     /// The nearest neighbour must be closer than this times the second nearest (paper, 3.2.2: 0.6; Lowe: 0.8).
-    /// From 1 on the test is off. A neighbour without a second one passes.
+    /// From 1 on the test is off. A lone neighbour is held against [`UNRELATED_DISTANCE`].
     pub ratio: f64,
     /// Keep only pairs that are each other's nearest (paper, 3.2.1).
     pub cross_check: bool,
@@ -157,7 +161,8 @@ mod tests {
                 let Some(&(distance, j)) = order.first() else { continue };
                 let second_distance = order.get(1).map_or(u32::MAX, |next| next.0);
                 let back = a.iter().enumerate().map(|(i, of_a)| (of_a.hamming(&b[j]), i)).min().unwrap().1;
-                let unusual = ratio >= 1.0 || order.len() == 1 || f64::from(distance) < ratio * f64::from(second_distance);
+                let against = if order.len() == 1 { UNRELATED_DISTANCE } else { second_distance };
+                let unusual = ratio >= 1.0 || f64::from(distance) < ratio * f64::from(against);
                 if unusual && (back == i || !cross_check) && max_distance.is_none_or(|limit| distance <= limit) {
                     expected.push(Match { a: i as u32, b: j as u32, distance, second_distance });
                 }

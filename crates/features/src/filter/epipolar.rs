@@ -24,7 +24,7 @@ pub enum GateOutcome {
 pub(crate) struct Gate {
     fundamental: Matrix3<f64>,
     transposed: Matrix3<f64>,
-    threshold_squared: f64,
+    threshold_px: f64,
 }
 
 impl Gate {
@@ -47,31 +47,39 @@ impl Gate {
         }
         // The scale of F means nothing; a common one keeps squares of lines far from under- and overflow.
         let fundamental = fundamental / largest;
-        let transposed = fundamental.transpose();
-        Ok(Some(Gate { fundamental, transposed, threshold_squared: threshold_px * threshold_px }))
+        Ok(Some(Gate { fundamental, transposed: fundamental.transpose(), threshold_px }))
     }
 
-    /// The line in image B for a point of image A, not normalised.
+    /// Half the width of the band around a line, px.
+    pub(crate) fn half_width_px(&self) -> f64 {
+        self.threshold_px
+    }
+
+    /// The line in image B for a point of image A, its normal of length one; zero if the point is the epipole.
     pub(crate) fn line_in_b(&self, in_a: &Point2<f64>) -> Vector3<f64> {
-        self.transposed * in_a.to_homogeneous()
+        with_unit_normal(self.transposed * in_a.to_homogeneous())
     }
 
-    /// The line in image A for a point of image B, not normalised.
+    /// The line in image A for a point of image B, its normal of length one; zero if the point is the epipole.
     pub(crate) fn line_in_a(&self, in_b: &Point2<f64>) -> Vector3<f64> {
-        self.fundamental * in_b.to_homogeneous()
+        with_unit_normal(self.fundamental * in_b.to_homogeneous())
     }
 
-    /// Whether the point lies within the threshold of the line. An epipole has no line and passes.
+    /// Whether the point lies within the threshold of the line. An epipole has no line and admits every point.
+    #[inline(always)]
     pub(crate) fn admits(&self, line: &Vector3<f64>, point: &Point2<f64>) -> bool {
-        let signed = line.x * point.x + line.y * point.y + line.z;
-        signed * signed <= self.threshold_squared * (line.x * line.x + line.y * line.y)
-            || (line.x == 0.0 && line.y == 0.0)
+        (line.x * point.x + line.y * point.y + line.z).abs() <= self.threshold_px
     }
 
     /// Whether each point lies within the threshold of the other's line.
     pub(crate) fn passes(&self, in_a: &Point2<f64>, in_b: &Point2<f64>) -> bool {
         self.admits(&self.line_in_b(in_a), in_b) && self.admits(&self.line_in_a(in_b), in_a)
     }
+}
+
+fn with_unit_normal(line: Vector3<f64>) -> Vector3<f64> {
+    let normal = line.x.hypot(line.y);
+    if normal > 0.0 { line / normal } else { Vector3::zeros() }
 }
 
 /// Drops matches of which either point lies farther than `threshold_px` from the line that `fundamental`

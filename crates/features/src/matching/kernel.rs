@@ -113,6 +113,7 @@ mod x86 {
     }
 
     #[target_feature(enable = "avx512f,avx512vpopcntdq")]
+    #[allow(clippy::needless_range_loop)] // Several arrays run in step, unrolled into registers.
     pub(super) fn avx512(group: &RowGroup, blocks: &[Block], rows: &mut [Best; ROWS], columns: &mut [Best]) {
         let mut first: [__m512i; ROWS] = [load512(&rows[0][0]); ROWS];
         let mut second = first;
@@ -178,6 +179,7 @@ mod x86 {
     }
 
     #[target_feature(enable = "avx2")]
+    #[allow(clippy::needless_range_loop)] // As above.
     pub(super) fn avx2(group: &RowGroup, blocks: &[Block], rows: &mut [Best; ROWS], columns: &mut [Best]) {
         let one_byte = _mm256_set1_epi8(1);
         let one_word = _mm256_set1_epi16(1);
