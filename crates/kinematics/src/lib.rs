@@ -6,6 +6,7 @@
 mod arms;
 mod chain;
 mod error;
+mod from_axes;
 mod jacobian;
 mod link;
 mod refinement;
@@ -14,6 +15,7 @@ mod turns;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
+pub use from_axes::JointAxis;
 pub use jacobian::ChainJacobian;
 pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
 pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
