@@ -1,7 +1,17 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
+mod config;
+mod error;
+mod features;
+mod map;
+mod matches;
 mod pairing;
 mod registered_depth;
 
+pub use config::{Config, Estimator};
+pub use error::RunError;
+pub use features::{ImageFeatures, extract_features};
+pub use map::{build_maps, localize};
+pub use matches::{MatchedPair, Search, match_pairs};
 pub use pairing::{ImagePair, Pairing, PairingOptions, PredictedView, choose_pairs};
 pub use registered_depth::RegisteredDepth;

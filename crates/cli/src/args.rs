@@ -1,0 +1,195 @@
+//! What can be asked for on the command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+use std::path::PathBuf;
+
+/// Calibrate a robot arm with the camera on its wrist.
+///
+/// Give skclam a folder with the colour images, the depth images and the joint values of 30 or more postures, and it
+/// gives back the arm's true kinematic parameters, the camera's mount, where the camera was, and a map of the cell.
+/// No target, no tracker. The folder's format: rig.toml, postures.csv, color/, depth/.
+#[derive(Debug, Parser)]
+#[command(name = "skclam", version, max_term_width = 100, propagate_version = true)]
+#[command(after_help = "Try it on the built-in virtual cell:\n  skclam reproduce --quick --out out/reproduce\n\n\
+                        Exit codes: 0 done, 1 failed, 2 wrong use. Results go to files and the table to standard output;\n\
+                        warnings and progress go to standard error.")]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Threads to work with; all cores by default. The result does not depend on it.
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Print the summary as JSON on standard output instead of the table.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// No progress and no warnings on standard error; errors still come.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Everything: features, matches, calibration, trajectory, map.
+    #[command(after_help = "Examples:\n  skclam run cell/ --out result/\n  skclam run cell/ --out result/ --preset paper --free angles\n\n\
+                            Writes rig.toml (the calibrated rig), trajectory.txt (TUM), map.ply, map_nominal.ply and summary.json,\n\
+                            whole or not at all.")]
+    Run(RunArgs),
+    /// Only the calibration: writes rig.toml, trajectory.txt and summary.json.
+    Calibrate(RunArgs),
+    /// Only the map: every depth image at the pose that a rig gives it; writes map.ply and trajectory.txt.
+    Map(MapArgs),
+    /// Compare a rig with a known true one: errors of parameters and poses.
+    Evaluate(EvaluateArgs),
+    /// Render a data set in the virtual cell: images, depth, postures, nominal and true rig.
+    Simulate(SimulateArgs),
+    /// Repeat the paper's experiments in the virtual cell and print its tables beside ours.
+    #[command(after_help = "With --quick: half-size images, a few minutes less. Without: 1920x1080, as in the paper.\n\
+                            Writes report.md and report.json, and the maps.")]
+    Reproduce(ReproduceArgs),
+    /// Print a completion script for a shell.
+    #[command(after_help = "Example:\n  skclam completions bash > ~/.local/share/bash-completion/completions/skclam")]
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Which set of options a run starts from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PresetArg {
+    /// All good matches, refined; overlapping pairs; least squares with covariance.
+    Default,
+    /// The paper to the letter: neighbours, ratio 0.6, gate 7.3 deg, the 30 best, Eq. (7), Nelder-Mead.
+    Paper,
+}
+
+/// Arguments of `run` and `calibrate`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Folder with rig.toml, postures.csv, color/ and depth/.
+    #[arg(value_hint = ValueHint::DirPath)]
+    pub dataset: PathBuf,
+    /// Folder for the results; made if it is not there.
+    #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub out: PathBuf,
+    /// Start from these options.
+    #[arg(long, value_enum, default_value = "default")]
+    pub preset: PresetArg,
+    /// Which parameters are free: auto (what the data can identify), angles (the paper's ten), all, or a list such as
+    /// "angles,mount" or "alpha_2,theta_offset_3,fx".
+    #[arg(long, value_name = "SET")]
+    pub free: Option<String>,
+    /// Seed of every random choice.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Another nominal rig than the data set's rig.toml.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
+    pub rig: Option<PathBuf>,
+    /// Options as a JSON file: the `configuration` of an earlier summary.json, or a part of it. --preset, --free and --seed on the
+    /// command line come first.
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub config: Option<PathBuf>,
+}
+
+/// Arguments of `map`.
+#[derive(Debug, Args)]
+pub struct MapArgs {
+    /// Folder with rig.toml, postures.csv, color/ and depth/.
+    #[arg(value_hint = ValueHint::DirPath)]
+    pub dataset: PathBuf,
+    /// The rig whose poses are used: a calibrated rig.toml. Without it, the data set's own (nominal) rig.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
+    pub rig: Option<PathBuf>,
+    /// Folder for the results; made if it is not there.
+    #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub out: PathBuf,
+}
+
+/// Arguments of `evaluate`.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// A result folder (with rig.toml), or a rig file.
+    #[arg(value_hint = ValueHint::AnyPath)]
+    pub result: PathBuf,
+    /// The true rig.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
+    pub truth: PathBuf,
+    /// The data set whose postures are compared.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub dataset: PathBuf,
+}
+
+/// Image noise of a simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ImageNoiseArg {
+    /// Clean images.
+    None,
+    /// 20,000 coloured pixels, then a Gaussian blur of 9x9, as in the paper's 4.1.1.
+    Paper,
+}
+
+/// Postures of a simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PosturesArg {
+    /// The 73 postures of the paper's 4.1.1.
+    Paper,
+    /// Random postures that look at the cell from all sides.
+    Diverse,
+}
+
+/// True arm of a simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ErrorsArg {
+    /// 1 deg on alpha_2..6 and theta_offset_2..6, as in the paper.
+    Paper,
+    /// Drawn at random over all parameters of arm and mount.
+    Random,
+}
+
+/// Arguments of `simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Folder for the data set.
+    #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub out: PathBuf,
+    /// A built-in robot (hp3j, hp3-like) or a rig file with the nominal rig.
+    #[arg(long, default_value = "hp3j", value_name = "NAME|RIG")]
+    pub robot: String,
+    /// Postures.
+    #[arg(long, value_enum, default_value = "paper")]
+    pub postures: PosturesArg,
+    /// How many, with --postures diverse.
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(2..=5000))]
+    pub count: u16,
+    /// In what the true arm differs from the nominal one.
+    #[arg(long, value_enum, default_value = "paper")]
+    pub errors: ErrorsArg,
+    /// Noise in the colour images.
+    #[arg(long, value_enum, default_value = "none")]
+    pub image_noise: ImageNoiseArg,
+    /// Standard deviation of the encoders, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    pub encoder_noise_deg: f64,
+    /// Scale of the colour image: 1 is 1920x1080.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub scale: f64,
+    /// Seed of scene, noise and random arm.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// Arguments of `reproduce`.
+#[derive(Debug, Args)]
+pub struct ReproduceArgs {
+    /// Folder for data sets, results and the report.
+    #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub out: PathBuf,
+    /// Half-size images, for a first look.
+    #[arg(long)]
+    pub quick: bool,
+    /// Seed of scene, noise and RANSAC.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}

@@ -1,0 +1,101 @@
+//! Everything that can be set in a run. The values that were in force stand in every `summary.json`.
+
+use super::{Pairing, PairingOptions, Search};
+use serde::{Deserialize, Serialize};
+use skclam_calibration::Free;
+use skclam_features::{AkazeOptions, FilterOptions, RansacOptions};
+use skclam_geometry::PinholeCamera;
+use skclam_mapping::CloudOptions;
+
+/// Which estimator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Estimator {
+    /// Eq. (7) minimised by Nelder-Mead: the paper's.
+    NelderMead,
+    /// Robust least squares on Sampson distances of pairs.
+    Sampson,
+    /// Bundle adjustment over tracks.
+    Bundle,
+}
+
+/// The settings of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Which parameters are free.
+    pub free: Free,
+    /// Detector and descriptor.
+    pub akaze: AkazeOptions,
+    /// Choice of pairs.
+    pub pairing: PairingOptions,
+    /// How candidates are searched.
+    pub search: Search,
+    /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts. `None`: no gate.
+    pub gate_deg: Option<f64>,
+    /// The filters of section 3.2; the gate's pixels follow from `gate_deg`.
+    pub filter: FilterOptions,
+    /// Which estimator.
+    pub estimator: Estimator,
+    /// The map.
+    pub cloud: CloudOptions,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            seed: 1,
+            free: Free::Auto,
+            akaze: AkazeOptions::default(),
+            pairing: PairingOptions::default(),
+            search: Search::Guided,
+            gate_deg: Some(7.3),
+            filter: FilterOptions::default(),
+            estimator: Estimator::Bundle,
+            cloud: CloudOptions::default(),
+        }
+    }
+}
+
+impl Config {
+    /// The paper to the letter: sections 3.2 and 3.3, `theta_th = 7.3 deg`, the 30 best of neighbouring pairs, the ten angles.
+    pub fn paper() -> Self {
+        Config {
+            free: Free::Angles,
+            pairing: PairingOptions { pairing: Pairing::Adjacent, ..PairingOptions::default() },
+            search: Search::Exhaustive,
+            filter: FilterOptions::paper(),
+            estimator: Estimator::NelderMead,
+            ..Config::default()
+        }
+    }
+
+    /// The filters with the gate in pixels, Eq. (6): `d_th = theta_th / theta_h * q_h`, and with this run's seed.
+    pub fn filter(&self, camera: &PinholeCamera) -> FilterOptions {
+        let gate_px = self.gate_deg.map(|angle| angle.to_radians() / camera.hfov() * f64::from(camera.width));
+        let ransac = self.filter.ransac.clone().map(|ransac| RansacOptions { seed: self.seed, ..ransac });
+        FilterOptions { gate_px, ransac, ..self.filter.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_gate_is_200_px() {
+        let camera = PinholeCamera::from_hfov(1920, 1080, 70f64.to_radians());
+        let gate_px = Config::paper().filter(&camera).gate_px.unwrap();
+        assert!((gate_px - 200.0).abs() < 0.5, "{gate_px}");
+    }
+
+    #[test]
+    fn a_configuration_survives_json_and_unknown_keys_do_not() {
+        let config = Config::paper();
+        let text = serde_json::to_string(&config).unwrap();
+        assert_eq!(serde_json::from_str::<Config>(&text).unwrap(), config);
+        assert!(serde_json::from_str::<Config>(r#"{"sed": 3}"#).unwrap_err().to_string().contains("sed"));
+    }
+}

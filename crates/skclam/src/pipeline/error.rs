@@ -1,0 +1,57 @@
+//! Why a run ends without a result.
+
+use crate::dataset::DatasetError;
+use crate::output::OutputError;
+use skclam_calibration::CalibrationError;
+use skclam_features::FeaturesError;
+use skclam_rig::{RigError, RigFileError};
+
+/// Why a run ends without a result.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// The data set.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A rig file.
+    #[error(transparent)]
+    RigFile(#[from] RigFileError),
+    /// The rig does not fit the postures.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// Features and matching.
+    #[error("features: {0}")]
+    Features(#[from] FeaturesError),
+    /// The estimator.
+    #[error("calibration: {0}")]
+    Calibration(#[from] CalibrationError),
+    /// The map.
+    #[error("map: {0}")]
+    Mapping(#[from] skclam_mapping::Error),
+    /// The results could not be written.
+    #[error("results: {0}")]
+    Output(#[from] OutputError),
+    /// The summary could not be written as JSON.
+    #[error("summary: {0}")]
+    Json(#[from] serde_json::Error),
+    /// No image pair is left with enough matches.
+    #[error(
+        "no pair of images has enough matches: {keypoints} keypoints in {images} images, {candidates} candidates, {after_ratio} after the ratio test, {matches} after all filters. \
+         Is there texture in view, do neighbouring images overlap, does the nominal rig belong to this recording? A wider --config gate_deg may help when the mount is only a guess"
+    )]
+    NoMatches {
+        /// Images.
+        images: usize,
+        /// Keypoints over all images.
+        keypoints: usize,
+        /// Candidates over all pairs.
+        candidates: usize,
+        /// Left by the ratio test.
+        after_ratio: usize,
+        /// Left by everything.
+        matches: usize,
+    },
+    /// The user asked to stop.
+    #[error("interrupted; nothing was written")]
+    Interrupted,
+}

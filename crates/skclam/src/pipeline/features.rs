@@ -1,0 +1,86 @@
+//! The first stage, section 3.2: keypoints and descriptors of every image, and the depth at every keypoint.
+
+use super::{Config, PredictedView, RegisteredDepth, RunError};
+use crate::dataset::Dataset;
+use crate::progress::{Progress, Stage};
+use image::GrayImage;
+use rayon::prelude::*;
+use skclam_features::{Akaze, AkazeOptions, Features, Threading};
+use skclam_geometry::Pixel;
+
+/// What one posture's images yield.
+#[derive(Debug)]
+pub struct ImageFeatures {
+    /// Keypoints and descriptors.
+    pub features: Features,
+    /// Keypoint by keypoint, the pixel with the distortion removed.
+    pub undistorted: Vec<Pixel>,
+    /// Keypoint by keypoint, z-depth in the colour camera's frame, metres, where it was measured.
+    pub depth_m: Vec<Option<f64>>,
+    /// The grey image, for the refinement; `None` where all of them together would take too much memory.
+    pub gray: Option<GrayImage>,
+    /// What the view should show by the nominal rig.
+    pub view: PredictedView,
+}
+
+/// Grey images are kept in memory up to this size in total; beyond it they are decoded again when needed.
+const KEPT_GRAY_BYTES: u64 = 512 << 20;
+
+/// Detects and describes the keypoints of every image.
+pub fn extract_features(
+    dataset: &Dataset,
+    config: &Config,
+    progress: &dyn Progress,
+) -> Result<Vec<ImageFeatures>, RunError> {
+    progress.begin(Stage::ExtractFeatures, dataset.len() as u64);
+    let camera = &dataset.rig.color;
+    let keep_gray = u64::from(camera.width) * u64::from(camera.height) * dataset.len() as u64 <= KEPT_GRAY_BYTES;
+    let mask = dataset.color_mask()?;
+    let options = AkazeOptions { threading: Threading::Caller, ..config.akaze.clone() };
+    (0..dataset.len())
+        .into_par_iter()
+        .map_init(
+            || Akaze::new(options.clone()),
+            |akaze, index| {
+                if progress.stop_requested() {
+                    return Err(RunError::Interrupted);
+                }
+                let one = one_image(dataset, index, akaze, mask.as_ref(), config, keep_gray);
+                progress.step();
+                one
+            },
+        )
+        .collect()
+}
+
+fn one_image(
+    dataset: &Dataset,
+    index: usize,
+    akaze: &mut Akaze,
+    mask: Option<&GrayImage>,
+    config: &Config,
+    keep_gray: bool,
+) -> Result<ImageFeatures, RunError> {
+    let camera = &dataset.rig.color;
+    let gray = dataset.gray(index)?;
+    let features = akaze.detect_and_describe(&gray, mask)?;
+    let pixels: Vec<Pixel> = features.keypoints.iter().map(|k| Pixel::new(f64::from(k.x), f64::from(k.y))).collect();
+    let undistorted = pixels.iter().map(|pixel| camera.undistort(pixel)).collect();
+    let base_from_color = dataset.rig.base_from_color(&dataset.records[index].posture)?;
+    let depth = dataset.depth(index)?;
+    let registered = match (&depth, &dataset.rig.depth) {
+        (Some(depth), Some(depth_camera)) => RegisteredDepth::new(depth, depth_camera, camera),
+        _ => None,
+    };
+    let depth_m = match &registered {
+        Some(registered) => pixels.iter().map(|pixel| registered.at(pixel)).collect(),
+        None => vec![None; pixels.len()],
+    };
+    let view = match (&depth, &dataset.rig.depth) {
+        (Some(depth), Some(depth_camera)) if registered.is_some() => {
+            PredictedView::from_depth(base_from_color, depth, depth_camera)
+        }
+        _ => PredictedView::from_assumed_depth(base_from_color, camera, config.pairing.assumed_depth_m),
+    };
+    Ok(ImageFeatures { features, undistorted, depth_m, gray: keep_gray.then_some(gray), view })
+}
