@@ -1,0 +1,225 @@
+//! Things made of sheets: cuboids, cylinders, panels, each sheet with a coat, then painted and lit all at once.
+
+use super::coat::Coat;
+use super::light::light_at;
+use super::model::{Face, Model};
+use super::raycast::RayCaster;
+use crate::Texture;
+use crate::dice::Dice;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use skclam_geometry::{Isometry3, Point3};
+use std::sync::Arc;
+
+/// A sheet of texture: where it lies, how large it is and what is on it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sheet {
+    pub coat: Coat,
+    pub size_m: (f64, f64),
+    pub texel_m: f64,
+    shape: Shape,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    /// Top left corner, directions to the right and down (unit), outward normal.
+    Flat { corner: Point3, right: Vector3<f64>, down: Vector3<f64>, normal: Vector3<f64> },
+    /// Top end of the axis, unit axis upward, a unit vector across, radius.
+    Tube { top: Point3, axis: Vector3<f64>, across: Vector3<f64>, radius: f64 },
+}
+
+impl Sheet {
+    /// Point and outward normal at a place given in shares of width and height.
+    fn at(&self, u: f64, v: f64) -> (Point3, Vector3<f64>) {
+        match self.shape {
+            Shape::Flat { corner, right, down, normal } => {
+                (corner + right * (u * self.size_m.0) + down * (v * self.size_m.1), normal)
+            }
+            Shape::Tube { top, axis, across, radius } => {
+                let angle = std::f64::consts::TAU * u;
+                let normal = across * angle.cos() + axis.cross(&across) * angle.sin();
+                (top - axis * (v * self.size_m.1) + normal * radius, normal)
+            }
+        }
+    }
+}
+
+/// Which faces of a cuboid are drawn, and with what.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CuboidCoats {
+    pub top: Option<Coat>,
+    pub bottom: Option<Coat>,
+    pub sides: [Option<Coat>; 4],
+}
+
+impl CuboidCoats {
+    /// All sides and the top alike, nothing below.
+    pub fn standing(coat: Coat) -> Self {
+        CuboidCoats { top: Some(coat), bottom: None, sides: [Some(coat); 4] }
+    }
+
+    pub fn all(coat: Coat) -> Self {
+        CuboidCoats { top: Some(coat), bottom: Some(coat), sides: [Some(coat); 4] }
+    }
+}
+
+/// Collects sheets and faces; texture indices are sheet indices.
+#[derive(Debug)]
+pub(crate) struct Builder {
+    pub model: Model,
+    pub sheets: Vec<Sheet>,
+    /// Texel size at one metre from the nearest camera.
+    pub texel_at_1m: f64,
+    /// Where cameras are: texels grow with the distance to this ball about the axis of joint 1.
+    pub reach_m: f64,
+}
+
+impl Builder {
+    pub fn new(texel_at_1m: f64, reach_m: f64) -> Self {
+        Builder { model: Model::default(), sheets: Vec::new(), texel_at_1m, reach_m }
+    }
+
+    fn texel_for(&self, points: &[Point3]) -> f64 {
+        // The nearest point of a large face is not a corner: sample it coarsely.
+        let mut nearest = f64::INFINITY;
+        for i in 0..=8 {
+            for j in 0..=8 {
+                let (u, v) = (f64::from(i) / 8.0, f64::from(j) / 8.0);
+                let point = points[0] + (points[1] - points[0]) * u + (points[2] - points[0]) * v;
+                nearest = nearest.min((point - Point3::new(0.0, 0.0, 0.45)).norm());
+            }
+        }
+        self.texel_at_1m * (nearest - self.reach_m).clamp(0.45, 2.5)
+    }
+
+    /// A flat sheet: `right` and `down` as seen from outside, metres.
+    pub fn sheet(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, coat: Coat) {
+        let corners = [corner, corner + down, corner + down + right, corner + right];
+        self.flat(corner, right, down, coat, &corners);
+    }
+
+    fn flat(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, coat: Coat, polygon: &[Point3]) {
+        let size_m = (right.norm(), down.norm());
+        let texel_m = self.texel_for(&[corner, corner + right, corner + down]);
+        let (right, down) = (right / size_m.0, down / size_m.1);
+        let normal = down.cross(&right);
+        let texture = self.sheets.len() as u32;
+        self.sheets.push(Sheet { coat, size_m, texel_m, shape: Shape::Flat { corner, right, down, normal } });
+        // Axes are directions for now; they are scaled to texels when the sheet is painted.
+        let face = Face {
+            origin: corner,
+            normal,
+            s_axis: right,
+            t_axis: down,
+            origin_texel: [0.0; 2],
+            texture,
+            brightness: 1.0,
+        };
+        self.model.add_polygon(face, polygon);
+    }
+
+    /// A cuboid whose frame has its origin in the middle of the bottom, z up; `size`: x, y, z.
+    pub fn cuboid(&mut self, frame: &Isometry3, size: [f64; 3], coats: &CuboidCoats) {
+        let [x, y, z] = size;
+        let point = |px: f64, py: f64, pz: f64| frame * Point3::new(px * x / 2.0, py * y / 2.0, pz * z);
+        let direction = |dx: f64, dy: f64, dz: f64| frame * Vector3::new(dx * x, dy * y, dz * z);
+        let down = direction(0.0, 0.0, -1.0);
+        let sides = [
+            (point(1.0, -1.0, 1.0), direction(0.0, 1.0, 0.0)),
+            (point(1.0, 1.0, 1.0), direction(-1.0, 0.0, 0.0)),
+            (point(-1.0, 1.0, 1.0), direction(0.0, -1.0, 0.0)),
+            (point(-1.0, -1.0, 1.0), direction(1.0, 0.0, 0.0)),
+        ];
+        for ((corner, right), coat) in sides.into_iter().zip(coats.sides) {
+            if let Some(coat) = coat {
+                self.sheet(corner, right, down, coat);
+            }
+        }
+        if let Some(coat) = coats.top {
+            self.sheet(point(-1.0, 1.0, 1.0), direction(1.0, 0.0, 0.0), direction(0.0, -1.0, 0.0), coat);
+        }
+        if let Some(coat) = coats.bottom {
+            self.sheet(point(-1.0, -1.0, 0.0), direction(1.0, 0.0, 0.0), direction(0.0, 1.0, 0.0), coat);
+        }
+    }
+
+    /// A cylinder from `bottom` to `top` with flat facets, and discs at its ends where they have a coat.
+    pub fn cylinder(&mut self, bottom: Point3, top: Point3, radius: f64, side: Coat, caps: [Option<Coat>; 2]) {
+        let height = (top - bottom).norm();
+        let axis = (top - bottom) / height;
+        let helper = if axis.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+        let across = axis.cross(&helper).normalize();
+        let facets = if radius > 0.08 { 40 } else { 24 };
+        let rim = |end: Point3, facet: usize| {
+            let angle = std::f64::consts::TAU * facet as f64 / facets as f64;
+            end + (across * angle.cos() + axis.cross(&across) * angle.sin()) * radius
+        };
+        let facet_width = 2.0 * radius * (std::f64::consts::PI / facets as f64).sin();
+        let texture = self.sheets.len() as u32;
+        let texel_m = self.texel_for(&[bottom, top, bottom]);
+        let size_m = (facet_width * facets as f64, height);
+        self.sheets.push(Sheet { coat: side, size_m, texel_m, shape: Shape::Tube { top, axis, across, radius } });
+        for facet in 0..facets {
+            let corners = [rim(top, facet), rim(bottom, facet), rim(bottom, facet + 1), rim(top, facet + 1)];
+            let right = (corners[3] - corners[0]) / facet_width;
+            let face = Face {
+                origin: corners[0],
+                normal: (-axis).cross(&right),
+                s_axis: right,
+                t_axis: -axis,
+                origin_texel: [facet as f64 * facet_width, 0.0],
+                texture,
+                brightness: 1.0,
+            };
+            self.model.add_polygon(face, &corners);
+        }
+        for (end, sign, coat) in [(bottom, -1.0, caps[0]), (top, 1.0, caps[1])] {
+            let Some(coat) = coat else { continue };
+            let normal = axis * sign;
+            let right = across;
+            // down x right = normal, as for every flat sheet.
+            let down = right.cross(&normal);
+            let polygon: Vec<Point3> =
+                (0..facets).map(|facet| if sign > 0.0 { rim(end, facet) } else { rim(end, facets - facet) }).collect();
+            self.flat(end - (right + down) * radius, right * (2.0 * radius), down * (2.0 * radius), coat, &polygon);
+        }
+    }
+
+    /// Paints every sheet, lights it where `lit`, and scales the faces' axes to texels.
+    pub fn finish(self, seed: u64, stream: u64, lit: bool) -> (Model, Vec<Sheet>) {
+        let Builder { mut model, sheets, .. } = self;
+        let caster = lit.then(|| RayCaster::new(&model));
+        let painted: Vec<(Texture, f64)> = sheets
+            .par_iter()
+            .enumerate()
+            .map(|(index, sheet)| {
+                let mut dice = Dice::new(seed, stream + index as u64);
+                let size_m = (sheet.size_m.0 as f32, sheet.size_m.1 as f32);
+                let mut canvas = sheet.coat.paint(size_m, sheet.texel_m as f32, &mut dice);
+                if let Some(caster) = &caster {
+                    let cells = |length: f64| ((length / 0.07).ceil() as usize).clamp(2, 64);
+                    let (columns, rows) = (cells(sheet.size_m.0), cells(sheet.size_m.1));
+                    let mut light = Vec::with_capacity(columns * rows);
+                    for row in 0..rows {
+                        for column in 0..columns {
+                            let (u, v) = ((column as f64 + 0.5) / columns as f64, (row as f64 + 0.5) / rows as f64);
+                            let (point, normal) = sheet.at(u, v);
+                            light.push(light_at(caster, &point, &normal));
+                        }
+                    }
+                    canvas.shine(&light, columns, rows);
+                }
+                let texel_m = f64::from(canvas.texel_m);
+                (canvas.into_texture(), texel_m)
+            })
+            .collect();
+        for face in &mut model.faces {
+            let texels_per_m = 1.0 / painted[face.texture as usize].1;
+            face.s_axis *= texels_per_m;
+            face.t_axis *= texels_per_m;
+            face.origin_texel = face.origin_texel.map(|metres| metres * texels_per_m);
+        }
+        model.textures = Arc::new(painted.into_iter().map(|(texture, _)| texture).collect());
+        (model, sheets)
+    }
+}

@@ -1,0 +1,544 @@
+//! What surfaces are made of: concrete, plaster, boards, cardboard, lacquer, metal, paper.
+//!
+//! Every coat has structure of many scales, from a hand's breadth to a millimetre, and none repeats: each surface
+//! has a seed of its own. Plain coats have almost none: a cell has areas where nothing can be matched.
+
+use super::canvas::{Canvas, Colour};
+use super::lattice::{Octave, add_octave, add_octaves};
+use super::print::{self, Patch};
+use crate::dice::Dice;
+
+/// The material and finish of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Coat {
+    /// Nearly even: lacquer, plastic, a ceiling.
+    Plain(Colour),
+    /// A painted wall that has seen years of work.
+    Plaster(Colour),
+    /// A floor: cast, cut, stained.
+    Concrete(Colour),
+    /// Oriented strand board.
+    StrandBoard,
+    /// Sawn boards with grain and knots.
+    Wood(Colour),
+    /// Stone chips in cement.
+    Terrazzo(Colour),
+    /// A carton with its print.
+    Cardboard,
+    /// Lacquered sheet with scratches, stickers and screws.
+    Lacquer(Colour),
+    /// Brushed sheet.
+    Steel,
+    /// A poster.
+    Poster,
+    /// Notes pinned to cork.
+    NoticeBoard,
+    /// The back of a binder or a book.
+    Spine,
+    /// A printed circuit, a control panel: small parts in rows that are never the same.
+    Panel,
+}
+
+impl Coat {
+    /// Whether there is nothing to match on it.
+    pub fn is_plain(&self) -> bool {
+        matches!(self, Coat::Plain(_))
+    }
+
+    /// Paints a sheet of `size_m` metres.
+    pub fn paint(&self, size_m: (f32, f32), texel_m: f32, dice: &mut Dice) -> Canvas {
+        let mut canvas = Canvas::new(size_m, texel_m);
+        let canvas_ref = &mut canvas;
+        match *self {
+            Coat::Plain(colour) => {
+                base(canvas_ref, dice, colour, Mottle { coarsest_m: 0.6, amplitude: 4.0, gain: 0.6, patches: 0.0 });
+            }
+            Coat::Plaster(colour) => plaster(canvas_ref, dice, colour),
+            Coat::Concrete(colour) => concrete(canvas_ref, dice, colour),
+            Coat::StrandBoard => strand_board(canvas_ref, dice),
+            Coat::Wood(colour) => wood(canvas_ref, dice, colour),
+            Coat::Terrazzo(colour) => terrazzo(canvas_ref, dice, colour),
+            Coat::Cardboard => cardboard(canvas_ref, dice),
+            Coat::Lacquer(colour) => lacquer(canvas_ref, dice, colour),
+            Coat::Steel => steel(canvas_ref, dice),
+            Coat::Poster => {
+                print::poster(canvas_ref, dice);
+                worn(canvas_ref, dice, 10.0, 3.0);
+            }
+            Coat::NoticeBoard => notice_board(canvas_ref, dice),
+            Coat::Spine => spine(canvas_ref, dice),
+            Coat::Panel => panel(canvas_ref, dice),
+        }
+        canvas
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Mottle {
+    coarsest_m: f32,
+    amplitude: f32,
+    gain: f32,
+    /// How strongly patches of another tone stand out, grey levels.
+    patches: f32,
+}
+
+/// Ground colour with noise of many scales in brightness, of coarse scales in hue, and sharp-edged patches.
+fn base(canvas: &mut Canvas, dice: &mut Dice, colour: Colour, mottle: Mottle) {
+    let (seed, hue_seed, patch_seed) = (dice.bits(), dice.bits(), dice.bits());
+    let count = canvas.width;
+    let (mut light, mut hue, mut patch) = (vec![0.0; count], vec![0.0; count], vec![0.0; count]);
+    canvas.fill_rows(|place, row| {
+        light.fill(0.0);
+        hue.fill(0.0);
+        add_octaves(&mut light, place, seed, mottle.coarsest_m, 0.002, mottle.amplitude, mottle.gain);
+        add_octaves(&mut hue, place, hue_seed, mottle.coarsest_m, 0.05, 0.5 * mottle.amplitude, 0.7);
+        if mottle.patches != 0.0 {
+            patch.fill(0.0);
+            add_octaves(&mut patch, place, patch_seed, 0.5 * mottle.coarsest_m, 0.003, 1.0, 0.72);
+        }
+        for index in 0..count {
+            // The border of a patch is a few per cent of the noise's range wide: sharp, not jagged.
+            let patched = mottle.patches * ((patch[index] - 0.42) * 14.0).clamp(0.0, 1.0);
+            let value = light[index] - patched;
+            row[index] = [
+                (colour[0] + value + hue[index]).max(0.0),
+                (colour[1] + value).max(0.0),
+                (colour[2] + value - hue[index]).max(0.0),
+            ];
+        }
+    });
+}
+
+/// How many of something a surface of this area has; at least none, jittered.
+fn count(canvas: &Canvas, per_square_metre: f32, dice: &mut Dice) -> usize {
+    let (width, height) = canvas.size_m();
+    let expected = per_square_metre * width * height;
+    (expected.floor() as usize) + usize::from(dice.chance(f64::from(expected.fract())))
+}
+
+fn anywhere(canvas: &Canvas, dice: &mut Dice) -> (f32, f32) {
+    let (width, height) = canvas.size_m();
+    (dice.range_f32(0.0, width), dice.range_f32(0.0, height))
+}
+
+/// A size with many small and few large ones: density falls with the square of the size.
+fn power_size(dice: &mut Dice, smallest: f32, largest: f32) -> f32 {
+    let u = dice.range_f32(0.0, 1.0);
+    1.0 / (u / largest + (1.0 - u) / smallest)
+}
+
+/// Specks of dirt, chips, drops: ellipses of all sizes, lighter or darker by `contrast`.
+fn specks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, sizes_m: (f32, f32), contrast: f32) {
+    for _ in 0..count(canvas, per_square_metre, dice) {
+        let (at, radius) = (anywhere(canvas, dice), power_size(dice, sizes_m.0, sizes_m.1));
+        let strength = contrast * dice.range_f32(0.4, 1.0);
+        let colour = if dice.chance(0.65) { [30.0, 27.0, 24.0] } else { [226.0, 222.0, 214.0] };
+        let radii = (radius, radius * dice.range_f32(0.45, 1.0));
+        canvas.ellipse(at, radii, dice.range_f32(0.0, 3.14), colour, strength);
+    }
+}
+
+/// Scratches: thin, mostly straight, in bundles.
+fn scratches(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, opacity: f32) {
+    for _ in 0..count(canvas, per_square_metre, dice) {
+        let (mut at, mut direction) = (anywhere(canvas, dice), dice.range_f32(0.0, 6.28));
+        let light = dice.chance(0.5);
+        let colour = if light { [222.0, 220.0, 214.0] } else { [42.0, 38.0, 36.0] };
+        let (width, step) = (dice.range_f32(0.0004, 0.0016), dice.range_f32(0.012, 0.07));
+        for _ in 0..1 + dice.below(4) {
+            direction += 0.25 * dice.normal() as f32;
+            let next = (at.0 + step * direction.cos(), at.1 + step * direction.sin());
+            canvas.line(at, next, width, colour, opacity * dice.range_f32(0.5, 1.0));
+            at = next;
+        }
+    }
+}
+
+/// Cracks: long dark walks that branch.
+fn cracks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32) {
+    for _ in 0..count(canvas, per_square_metre, dice) {
+        let mut tips = vec![(anywhere(canvas, dice), dice.range_f32(0.0, 6.28), 14 + dice.below(26))];
+        while let Some((mut at, mut direction, steps)) = tips.pop() {
+            for step in 0..steps {
+                direction += 0.45 * dice.normal() as f32;
+                let length = dice.range_f32(0.008, 0.03);
+                let next = (at.0 + length * direction.cos(), at.1 + length * direction.sin());
+                canvas.line(at, next, dice.range_f32(0.0006, 0.0018), [46.0, 42.0, 40.0], 0.75);
+                at = next;
+                if tips.len() < 6 && steps - step > 6 && dice.chance(0.06) {
+                    tips.push((at, direction + dice.range_f32(-1.2, 1.2), (steps - step) / 2));
+                }
+            }
+        }
+    }
+}
+
+/// What use leaves on everything: soft shading, specks, scratches.
+fn worn(canvas: &mut Canvas, dice: &mut Dice, amplitude: f32, scratches_per_square_metre: f32) {
+    let bounds = Patch::whole(canvas).bounds();
+    canvas.mottle(bounds, dice.bits(), 0.3, amplitude, 0.72);
+    scratches(canvas, dice, scratches_per_square_metre, 0.5);
+}
+
+fn plaster(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.7, amplitude: 13.0, gain: 0.8, patches: 26.0 });
+    specks(canvas, dice, 420.0, (0.0015, 0.02), 0.42);
+    scratches(canvas, dice, 60.0, 0.45);
+    cracks(canvas, dice, 1.6);
+}
+
+fn concrete(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.9, amplitude: 17.0, gain: 0.84, patches: 30.0 });
+    specks(canvas, dice, 900.0, (0.0016, 0.03), 0.5);
+    scratches(canvas, dice, 90.0, 0.5);
+    cracks(canvas, dice, 1.2);
+    // Marking tape, much walked upon, and drops of paint.
+    let (width, height) = canvas.size_m();
+    if width > 2.0 && height > 2.0 {
+        let inset = 0.16 * width.min(height);
+        let frame = [
+            ((inset, inset), (width - inset, inset)),
+            ((inset, height - inset), (width - inset, height - inset)),
+            ((inset, inset), (inset, height - inset)),
+            ((width - inset, inset), (width - inset, height - inset)),
+        ];
+        for (from, to) in frame {
+            canvas.line(from, to, 0.035, [216.0, 172.0, 36.0], 0.85);
+        }
+        for _ in 0..2600 {
+            let (from, to) = dice.pick(&frame);
+            let share = dice.range_f32(0.0, 1.0);
+            let at = (
+                from.0 + share * (to.0 - from.0) + dice.range_f32(-0.04, 0.04),
+                from.1 + share * (to.1 - from.1) + dice.range_f32(-0.04, 0.04),
+            );
+            let radius = power_size(dice, 0.002, 0.02);
+            canvas.ellipse(at, (radius, radius * dice.range_f32(0.3, 0.9)), dice.range_f32(0.0, 3.14), colour, 0.8);
+        }
+    }
+    for _ in 0..count(canvas, 5.0, dice) {
+        let (at, tone) = (anywhere(canvas, dice), print::ink(dice));
+        for _ in 0..3 + dice.below(9) {
+            let radius = power_size(dice, 0.002, 0.02);
+            let drop = (at.0 + 0.05 * dice.normal() as f32, at.1 + 0.05 * dice.normal() as f32);
+            canvas.ellipse(drop, (radius, radius * dice.range_f32(0.7, 1.0)), dice.range_f32(0.0, 3.14), tone, 0.85);
+        }
+    }
+}
+
+fn strand_board(canvas: &mut Canvas, dice: &mut Dice) {
+    let ground = [176.0, 136.0, 88.0];
+    base(canvas, dice, ground, Mottle { coarsest_m: 0.5, amplitude: 10.0, gain: 0.7, patches: 0.0 });
+    for _ in 0..count(canvas, 2300.0, dice) {
+        let at = anywhere(canvas, dice);
+        let half = (dice.range_f32(0.012, 0.055), dice.range_f32(0.003, 0.013));
+        let tone = dice.range_f32(-46.0, 40.0);
+        let warm = dice.range_f32(-8.0, 8.0);
+        let colour = [ground[0] + tone + warm, ground[1] + 0.95 * tone, ground[2] + 0.8 * tone - warm];
+        let angle = 0.55 * dice.normal() as f32 + if dice.chance(0.2) { 1.4 } else { 0.0 };
+        canvas.rectangle(at, half, angle, colour, dice.range_f32(0.55, 0.95));
+    }
+    let bounds = Patch::whole(canvas).bounds();
+    canvas.mottle(bounds, dice.bits(), 0.03, 7.0, 0.8);
+}
+
+fn wood(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
+    let (grain_seed, fine_seed, wave_seed, tone_seed) = (dice.bits(), dice.bits(), dice.bits(), dice.bits());
+    let (width, _) = canvas.size_m();
+    let board = dice.range_f32(0.09, 0.16);
+    let lengths = count(canvas, 0.0, dice);
+    debug_assert_eq!(lengths, 0);
+    let texels = canvas.width;
+    canvas.fill_rows(|place, row| {
+        let index = (place.y_m / board).floor();
+        let within = place.y_m - index * board;
+        // Each board is cut from another place of the trunk.
+        let shift = 37.0 * index;
+        let moved = super::lattice::RowPlace { x0_m: place.x0_m + shift, ..place };
+        let octave = |seed, cell_m, amplitude| Octave { seed, cell_m, amplitude };
+        let grain = Canvas::octave_row(
+            moved,
+            texels,
+            &[
+                octave(grain_seed, (0.5, 0.022), 16.0),
+                octave(fine_seed, (0.22, 0.0075), 14.0),
+                octave(fine_seed ^ 77, (0.08, 0.0035), 12.0),
+                octave(fine_seed ^ 991, (0.012, 0.0025), 9.0),
+            ],
+        );
+        let wave = Canvas::octave_row(moved, texels, &[octave(wave_seed, (0.35, 0.06), 1.0)]);
+        let tone = 34.0 * (super::lattice::unit(tone_seed, index as i32, 0) - 0.5);
+        let gap = if within < 0.0015 || board - within < 0.0015 { -48.0 } else { 0.0 };
+        for (column, colour_out) in row.iter_mut().enumerate() {
+            let rings = 9.0 * (wave[column] * 26.0 + within * 130.0).sin();
+            let value = tone + gap + grain[column] + rings;
+            *colour_out =
+                [(colour[0] + value).max(0.0), (colour[1] + 0.9 * value).max(0.0), (colour[2] + 0.7 * value).max(0.0)];
+        }
+    });
+    let knots = count(canvas, 9.0, dice);
+    for _ in 0..knots {
+        let (at, radius) = (anywhere(canvas, dice), dice.range_f32(0.006, 0.02));
+        for ring in (1..=4).rev() {
+            let reach = radius * ring as f32 / 4.0;
+            let shade = if ring % 2 == 0 { 0.45 } else { 0.66 };
+            canvas.ellipse(at, (1.35 * reach, reach), 0.1, colour.map(|value| value * shade), 0.75);
+        }
+    }
+    specks(canvas, dice, 160.0, (0.0012, 0.012), 0.5);
+    scratches(canvas, dice, 70.0 * width.clamp(0.3, 1.0), 0.5);
+}
+
+fn terrazzo(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.4, amplitude: 9.0, gain: 0.75, patches: 0.0 });
+    for _ in 0..count(canvas, 5200.0, dice) {
+        let (at, radius) = (anywhere(canvas, dice), power_size(dice, 0.0018, 0.016));
+        let tone = dice.pick(&[
+            [70.0, 66.0, 62.0],
+            [206.0, 200.0, 188.0],
+            [150.0, 110.0, 84.0],
+            [116.0, 120.0, 118.0],
+            [180.0, 160.0, 130.0],
+        ]);
+        let turn = dice.range_f32(0.0, 6.28);
+        let corner = |angle: f32, scale: f32| {
+            (at.0 + scale * radius * (turn + angle).cos(), at.1 + scale * radius * (turn + angle).sin())
+        };
+        let scales = [dice.range_f32(0.6, 1.2), dice.range_f32(0.6, 1.2), dice.range_f32(0.6, 1.2)];
+        let [a, b, c] = [corner(0.0, scales[0]), corner(2.0, scales[1]), corner(4.1, scales[2])];
+        canvas.triangle([a, b, c], tone, 0.85);
+        canvas.ellipse(at, (0.6 * radius, 0.5 * radius), turn, tone, 0.85);
+    }
+    scratches(canvas, dice, 30.0, 0.35);
+}
+
+fn cardboard(canvas: &mut Canvas, dice: &mut Dice) {
+    let shade = dice.range_f32(0.8, 1.06);
+    let ground = [188.0 * shade, 148.0 * shade, 104.0 * shade];
+    base(canvas, dice, ground, Mottle { coarsest_m: 0.25, amplitude: 8.0, gain: 0.8, patches: 10.0 });
+    specks(canvas, dice, 500.0, (0.001, 0.006), 0.32);
+    let whole = Patch::whole(canvas);
+    let size = whole.width.min(whole.height);
+    let print_colour = dice.pick(&[print::INK, [120.0, 40.0, 34.0], [34.0, 66.0, 120.0], [74.0, 56.0, 40.0]]);
+    if dice.chance(0.55) {
+        let y = whole.height * dice.range_f32(0.4, 0.6);
+        canvas.rectangle((0.5 * whole.width, y), (0.5 * whole.width, 0.024), 0.0, [204.0, 176.0, 130.0], 0.55);
+    }
+    let inner = whole.inset(0.07 * size);
+    let (upper, lower) = inner.split_rows(dice.range_f32(0.35, 0.6));
+    let letters = (0.18 * upper.height).clamp(0.008, 0.05);
+    match dice.below(4) {
+        0 => print::text_line(canvas, dice, (upper.x, upper.y), upper.width, 1.7 * letters, print_colour),
+        1 => print::paragraph(canvas, dice, upper, letters, print_colour),
+        2 => print::drawing(canvas, dice, upper),
+        _ => print::shapes(canvas, dice, Patch { width: upper.width * 0.6, ..upper }),
+    }
+    for _ in 0..1 + dice.below(2) {
+        let width = (0.55 * lower.width).min(0.16) * dice.range_f32(0.7, 1.0);
+        let height = (0.8 * lower.height).min(0.7 * width);
+        let at = (
+            lower.x + dice.range_f32(0.0, (lower.width - width).max(0.001)),
+            lower.y + dice.range_f32(0.0, (lower.height - height).max(0.001)),
+        );
+        print::label(canvas, dice, Patch { x: at.0, y: at.1, width, height });
+    }
+    worn(canvas, dice, 5.0, 25.0);
+}
+
+fn lacquer(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.5, amplitude: 6.0, gain: 0.7, patches: 0.0 });
+    let whole = Patch::whole(canvas);
+    let area = whole.width * whole.height;
+    for _ in 0..((area * 5.0).ceil() as usize).min(7) {
+        let width = (0.5 * whole.width).min(0.2) * dice.range_f32(0.4, 1.0);
+        let height = (0.5 * whole.height).min(0.14) * dice.range_f32(0.4, 1.0);
+        let inner = Patch { width: whole.width - width, height: whole.height - height, ..whole };
+        let patch = Patch {
+            x: dice.range_f32(0.0, inner.width.max(0.001)),
+            y: dice.range_f32(0.0, inner.height.max(0.001)),
+            width,
+            height,
+        };
+        match dice.below(4) {
+            0 => print::warning_sign(canvas, dice, patch.centre(), 0.5 * width.min(height)),
+            // Ventilation slots.
+            1 => {
+                for slot in 0..5 + dice.below(4) {
+                    let y = patch.y + height * (slot as f32 + 0.5) / 8.0;
+                    let half = 0.5 * width * dice.range_f32(0.75, 1.0);
+                    let (from, to) = ((patch.centre().0 - half, y), (patch.centre().0 + half, y));
+                    canvas.line(from, to, 0.025 * height, [34.0, 34.0, 36.0], 0.9);
+                }
+            }
+            _ => print::label(canvas, dice, patch),
+        }
+    }
+    // Chips show the primer, scratches the metal.
+    specks(canvas, dice, 260.0, (0.001, 0.010), 0.75);
+    scratches(canvas, dice, 110.0, 0.7);
+}
+
+fn steel(canvas: &mut Canvas, dice: &mut Dice) {
+    let (seed, second, broad) = (dice.bits(), dice.bits(), dice.bits());
+    let count = canvas.width;
+    let mut row_noise = vec![0.0; count];
+    canvas.fill_rows(|place, row| {
+        row_noise.fill(0.0);
+        for (seed, cell_m, amplitude) in
+            [(seed, (0.3, 0.0035), 13.0), (second, (0.12, 0.009), 12.0), (broad, (0.3, 0.2), 18.0)]
+        {
+            add_octave(&mut row_noise, place, Octave { seed, cell_m, amplitude });
+        }
+        for (colour, noise) in row.iter_mut().zip(&row_noise) {
+            *colour = [148.0 + noise, 151.0 + noise, 155.0 + noise];
+        }
+    });
+    specks(canvas, dice, 500.0, (0.001, 0.02), 0.5);
+    scratches(canvas, dice, 220.0, 0.7);
+}
+
+fn notice_board(canvas: &mut Canvas, dice: &mut Dice) {
+    base(canvas, dice, [164.0, 122.0, 80.0], Mottle { coarsest_m: 0.05, amplitude: 14.0, gain: 0.85, patches: 24.0 });
+    specks(canvas, dice, 5000.0, (0.0012, 0.005), 0.6);
+    let whole = Patch::whole(canvas);
+    for _ in 0..count(canvas, 13.0, dice).max(3) {
+        let (width, height) = (dice.range_f32(0.07, 0.24), dice.range_f32(0.07, 0.2));
+        let patch = Patch {
+            x: dice.range_f32(0.0, (whole.width - width).max(0.001)),
+            y: dice.range_f32(0.0, (whole.height - height).max(0.001)),
+            width: width.min(whole.width),
+            height: height.min(whole.height),
+        };
+        let paper =
+            dice.pick(&[[236.0, 234.0, 226.0], [240.0, 228.0, 140.0], [206.0, 226.0, 236.0], [238.0, 200.0, 196.0]]);
+        let shadow = Patch { x: patch.x + 0.003, y: patch.y + 0.004, ..patch };
+        shadow.fill(canvas, [50.0, 38.0, 28.0], 0.5);
+        patch.fill(canvas, paper, 1.0);
+        let inner = patch.inset(0.012);
+        match dice.below(5) {
+            0 => print::picture(canvas, dice, inner),
+            1 => print::chart(canvas, dice, inner),
+            2 => print::drawing(canvas, dice, inner),
+            _ => {
+                let height = dice.range_f32(0.006, 0.016);
+                let pen = dice.pick(&[print::INK, [30.0, 50.0, 140.0], [150.0, 30.0, 30.0]]);
+                print::paragraph(canvas, dice, inner, height, pen);
+            }
+        }
+        let pin = (patch.centre().0 + dice.range_f32(-0.02, 0.02), patch.y + 0.008);
+        canvas.ellipse(pin, (0.005, 0.005), 0.0, print::ink(dice), 1.0);
+    }
+}
+
+fn spine(canvas: &mut Canvas, dice: &mut Dice) {
+    let colour = print::ink(dice);
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.1, amplitude: 7.0, gain: 0.75, patches: 0.0 });
+    let whole = Patch::whole(canvas);
+    if dice.chance(0.7) {
+        let height = whole.height * dice.range_f32(0.25, 0.45);
+        let patch = Patch {
+            x: 0.12 * whole.width,
+            y: whole.height * dice.range_f32(0.08, 0.3),
+            width: 0.76 * whole.width,
+            height,
+        };
+        patch.fill(canvas, [230.0, 228.0, 220.0], 1.0);
+        let letters = (0.35 * patch.width).clamp(0.005, 0.016);
+        print::paragraph(canvas, dice, patch.inset(0.1 * patch.width), letters, print::INK);
+    }
+    for _ in 0..dice.below(3) {
+        let y = whole.height * dice.range_f32(0.05, 0.95);
+        let band = print::ink(dice);
+        canvas.line((0.0, y), (whole.width, y), whole.height * dice.range_f32(0.006, 0.03), band, 0.9);
+    }
+    if dice.chance(0.6) {
+        let at = (whole.centre().0, whole.height * dice.range_f32(0.78, 0.9));
+        canvas.ring(at, 0.3 * whole.width, 0.05 * whole.width, [40.0, 40.0, 42.0], 1.0);
+    }
+    specks(canvas, dice, 700.0, (0.001, 0.005), 0.5);
+    scratches(canvas, dice, 60.0, 0.6);
+}
+
+fn panel(canvas: &mut Canvas, dice: &mut Dice) {
+    let ground = dice.pick(&[[74.0, 80.0, 84.0], [176.0, 178.0, 172.0], [44.0, 92.0, 70.0], [60.0, 64.0, 92.0]]);
+    base(canvas, dice, ground, Mottle { coarsest_m: 0.2, amplitude: 6.0, gain: 0.75, patches: 0.0 });
+    let whole = Patch::whole(canvas).inset(0.02);
+    let pitch = dice.range_f32(0.035, 0.055);
+    let mut y = whole.y;
+    while y + pitch <= whole.y + whole.height {
+        let mut x = whole.x;
+        while x + pitch <= whole.x + whole.width {
+            let span = 1.0 + dice.below(3) as f32;
+            let cell = Patch { x, y, width: (span * pitch).min(whole.x + whole.width - x), height: pitch };
+            let inner = cell.inset(pitch * dice.range_f32(0.08, 0.2));
+            let (colour, radius) = (print::ink(dice), 0.3 * pitch * dice.range_f32(0.5, 1.0));
+            match dice.below(7) {
+                0 => {
+                    canvas.ellipse(inner.centre(), (1.25 * radius, 1.25 * radius), 0.0, [30.0, 30.0, 30.0], 1.0);
+                    canvas.ellipse(inner.centre(), (radius, radius), 0.0, colour, 1.0);
+                }
+                1 => {
+                    inner.fill(canvas, [24.0, 28.0, 30.0], 1.0);
+                    let height = 0.5 * inner.height;
+                    let at = (inner.x + 0.1 * height, inner.y + 0.25 * inner.height);
+                    print::text_line(canvas, dice, at, inner.width, height, [120.0, 220.0, 140.0]);
+                }
+                2 => inner.fill(canvas, colour, 1.0),
+                3 => print::label(canvas, dice, inner),
+                4 => {
+                    canvas.ring(inner.centre(), radius, 0.2 * radius, [210.0, 210.0, 206.0], 1.0);
+                    let angle = dice.range_f32(0.0, 6.28);
+                    let centre = inner.centre();
+                    let tip = (centre.0 + radius * angle.cos(), centre.1 + radius * angle.sin());
+                    canvas.line(centre, tip, 0.12 * radius, [230.0, 230.0, 226.0], 1.0);
+                }
+                5 => print::text_line(
+                    canvas,
+                    dice,
+                    (inner.x, inner.y),
+                    inner.width,
+                    0.35 * inner.height,
+                    [224.0, 224.0, 218.0],
+                ),
+                _ => {}
+            }
+            x += span * pitch;
+        }
+        y += pitch;
+    }
+    scratches(canvas, dice, 60.0, 0.6);
+    specks(canvas, dice, 200.0, (0.001, 0.006), 0.5);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coats_are_deterministic_and_have_structure_except_the_plain_ones() {
+        for coat in [
+            Coat::Plain([200.0; 3]),
+            Coat::Plaster([190.0; 3]),
+            Coat::Concrete([130.0; 3]),
+            Coat::StrandBoard,
+            Coat::Wood([150.0, 110.0, 70.0]),
+            Coat::Terrazzo([170.0; 3]),
+            Coat::Cardboard,
+            Coat::Lacquer([60.0, 90.0, 130.0]),
+            Coat::Steel,
+            Coat::Poster,
+            Coat::NoticeBoard,
+            Coat::Spine,
+            Coat::Panel,
+        ] {
+            let paint = |seed| coat.paint((0.3, 0.2), 0.001, &mut Dice::new(seed, 0));
+            let (first, again, other) = (paint(5), paint(5), paint(6));
+            assert_eq!(first.texels, again.texels);
+            assert_ne!(first.texels, other.texels, "{coat:?}");
+            let values = || first.texels.iter().map(|texel| f64::from(texel[1]));
+            let mean = values().sum::<f64>() / first.texels.len() as f64;
+            let spread = (values().map(|v| (v - mean).powi(2)).sum::<f64>() / first.texels.len() as f64).sqrt();
+            assert_eq!(spread < 4.0, coat.is_plain(), "{coat:?}: standard deviation {spread}");
+        }
+    }
+}
