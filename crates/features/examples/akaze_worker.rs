@@ -5,7 +5,7 @@
 //! - `threads N`: use N threads from now on;
 //! - `options JSON`: options of the detector, as JSON; those that are left out have their defaults;
 //! - `run IMAGE`: detect and describe; answers the time in nanoseconds and the number of keypoints. The image is
-//!   read before the clock starts, and kept for the next run;
+//!   read before the clock starts, and kept for the next run of the same path;
 //! - `save IMAGE FILE`: the same, and writes the features: for each keypoint 6 little-endian `f32` (x, y, size, angle
 //!   in radians, response, level) and 64 bytes of descriptor;
 //! - `memory`: peak resident memory in kilobytes (Linux).
@@ -34,7 +34,7 @@ fn main() -> Result<(), AnyError> {
             }
             "run" | "save" => {
                 let (path, output) = argument.split_once(' ').unwrap_or((argument, ""));
-                if loaded.0 != path {
+                if command == "save" || loaded.0 != path {
                     loaded = (path.to_owned(), image::open(path)?.into_luma8());
                 }
                 let begin = Instant::now();
