@@ -1,6 +1,6 @@
 //! A serial chain from base to flange and its forward kinematics.
 
-use crate::{Isometry3, KinematicsError, Link, LinkForm, ParameterId};
+use crate::{Isometry3, KinematicsError, Link, LinkForm, ParameterId, ParameterKind};
 use serde::{Deserialize, Serialize};
 
 /// What a joint does.
@@ -179,6 +179,25 @@ impl SerialChain {
             .collect())
     }
 
+    /// `base_from_joint`: a frame on each joint's axis that moves with the joint, z along the axis. For the modified
+    /// forms it is the frame after the link; the classic forms go on from there to the next axis.
+    pub(crate) fn base_from_joint_frames(&self, joint_values: &[f64]) -> Result<Vec<Isometry3>, KinematicsError> {
+        self.check(joint_values)?;
+        let mut pose = self.base_from_first;
+        let frames = self.joints.iter().zip(joint_values).map(|(joint, &value)| {
+            let (q_angle, q_length) = joint.split(value);
+            let mut frame = pose;
+            for (kind, motion) in joint.link.motions(q_angle, q_length) {
+                pose *= motion.transform();
+                if matches!(kind, ParameterKind::ThetaOffset | ParameterKind::D) {
+                    frame = pose;
+                }
+            }
+            renormalized(frame)
+        });
+        Ok(frames.collect())
+    }
+
     /// Whether every joint value lies within its joint's limits.
     pub fn admits(&self, joint_values: &[f64]) -> bool {
         joint_values.len() == self.joints.len()
@@ -208,7 +227,6 @@ pub(crate) fn renormalized(mut pose: Isometry3) -> Isometry3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ParameterKind;
 
     fn planar_arm() -> SerialChain {
         SerialChain::new(vec![

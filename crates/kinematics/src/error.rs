@@ -53,6 +53,14 @@ pub enum KinematicsError {
         /// What is missing, with its number.
         reason: String,
     },
+    /// A URDF cannot be read as a chain, or a chain not be written into it.
+    #[error("URDF, line {line}: {problem}")]
+    Urdf {
+        /// Line in the text, from 1.
+        line: u32,
+        /// What is wrong and what was expected.
+        problem: String,
+    },
     /// An option that has to be positive and finite is not.
     #[error("{option} is {value}; a positive finite number is needed")]
     Option {

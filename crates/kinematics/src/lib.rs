@@ -1,4 +1,4 @@
-//! Serial chains in Denavit-Hartenberg and Hayati form: forward kinematics, Jacobians, inverse kinematics.
+//! Serial chains in Denavit-Hartenberg and Hayati form: forward kinematics, Jacobians, inverse kinematics, URDF.
 //!
 //! This crate knows axes and joint values, and nothing of cameras or images. Metres and radians.
 
@@ -12,6 +12,7 @@ mod link;
 mod refinement;
 mod spherical_wrist;
 mod turns;
+mod urdf;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
@@ -21,6 +22,7 @@ pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
 pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
 pub use spherical_wrist::{Elbow, Shoulder, SphericalWristSolution, Wrist, spherical_wrist_solutions};
 pub use turns::nearby;
+pub use urdf::{chain_from_urdf, line_diff, urdf_ends, write_urdf};
 
 /// A rigid transform `a_from_b`, metres.
 pub type Isometry3 = nalgebra::Isometry3<f64>;
