@@ -5,7 +5,8 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use image::GrayImage;
 use rayon::prelude::*;
-use skclam_features::{Akaze, AkazeOptions, Features, Threading};
+use skclam_features::akaze::Threading;
+use skclam_features::{Akaze, AkazeOptions, Features};
 use skclam_geometry::Pixel;
 
 /// What one posture's images yield.

@@ -61,10 +61,6 @@ fn match_pair(
     camera: &PinholeCamera,
     config: &Config,
 ) -> Result<FilteredMatches, RunError> {
-    let described = |image| {
-        let ImageFeatures { features, undistorted, .. } = image;
-        DescribedPoints { descriptors: &features.descriptors, positions: undistorted }
-    };
     let a_from_b = a.view.base_from_color.inverse() * b.view.base_from_color;
     let fundamental = predicted_fundamental(camera, &a_from_b);
     let filter = config.filter(camera);
@@ -78,6 +74,10 @@ fn match_pair(
         }
     };
     Ok(found)
+}
+
+fn described(image: &ImageFeatures) -> DescribedPoints<'_> {
+    DescribedPoints { descriptors: &image.features.descriptors, positions: &image.undistorted }
 }
 
 /// The nominal F of Eq. (3); zero where the cameras stand at one place, as then there is no epipolar geometry.
