@@ -6,9 +6,17 @@
 
 mod correspondences;
 mod error;
+mod error_function;
 mod free;
+mod identifiability;
 mod model;
+mod motion;
+mod nelder_mead;
+mod outcome;
 mod parameter;
+mod prior;
+mod robust;
+mod sampson;
 mod termination;
 mod warning;
 
@@ -16,9 +24,15 @@ pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
 };
 pub use error::CalibrationError;
+pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};
+pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
 pub use model::{DepthCorrection, JointCorrection, Model};
+pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
+pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
+pub use prior::{PriorPolicy, default_sigma, stated_sigma};
+pub use robust::Loss;
 pub use termination::{StopReason, Termination};
 pub use warning::Warning;
 

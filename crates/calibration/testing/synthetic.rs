@@ -108,7 +108,7 @@ pub fn diverse_postures(rig: &Rig, count: usize, rng: &mut ChaCha8Rng) -> Vec<Po
 /// The paper's 73 postures (4.1.1): one flange pose, eight solutions, joint 1 turned by 5 deg each time, nine rounds.
 pub fn paper_postures(rig: &Rig) -> Vec<Posture> {
     let robot = rig.robot.as_ref().unwrap();
-    let seed = [0.0, 0.2, 0.3, 0.4, 0.9, 0.3];
+    let seed = [0.0, 0.4, 0.9, 0.4, 0.9, 0.3];
     let target = robot.base_from_flange(&seed).unwrap();
     let mut solutions: Vec<Vec<f64>> = vec![seed.to_vec()];
     let mut rng = seeded(73);
