@@ -5,6 +5,7 @@
 //! Maps live in the base frame, in metres.
 //!
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
+//! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
 //! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files.
 
@@ -14,6 +15,8 @@ mod error;
 mod normals;
 mod ply;
 mod render;
+mod surface;
+mod tsdf;
 mod view;
 mod voxel;
 
@@ -22,4 +25,6 @@ pub use cloud_builder::{CloudBuilder, CloudOptions, PointNormals, UncoloredPoint
 pub use error::Error;
 pub use ply::{read_ply, write_ply};
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
+pub use surface::{SurfaceOptions, remove_small_clusters, vertex_normals};
+pub use tsdf::{Integration, SpaceCarving, Tsdf, TsdfOptions};
 pub use view::{DepthFilter, DepthNoise, View};
