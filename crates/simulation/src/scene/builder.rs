@@ -79,14 +79,19 @@ impl Builder {
         Builder { model: Model::default(), sheets: Vec::new(), texel_at_1m, reach_m }
     }
 
-    fn texel_for(&self, points: &[Point3]) -> f64 {
+    fn texel_for(&self, points: &[Point3], normal: Option<Vector3<f64>>) -> f64 {
+        let middle = Point3::new(0.0, 0.0, 0.45);
+        // What shows its back to every place that a camera can reach needs no detail.
+        if normal.is_some_and(|normal| normal.dot(&(middle - points[0])) < -(self.reach_m + 0.25)) {
+            return 5.0 * self.texel_at_1m;
+        }
         // The nearest point of a large face is not a corner: sample it coarsely.
         let mut nearest = f64::INFINITY;
         for i in 0..=8 {
             for j in 0..=8 {
                 let (u, v) = (f64::from(i) / 8.0, f64::from(j) / 8.0);
                 let point = points[0] + (points[1] - points[0]) * u + (points[2] - points[0]) * v;
-                nearest = nearest.min((point - Point3::new(0.0, 0.0, 0.45)).norm());
+                nearest = nearest.min((point - middle).norm());
             }
         }
         self.texel_at_1m * (nearest - self.reach_m).clamp(0.45, 2.5)
@@ -100,9 +105,10 @@ impl Builder {
 
     fn flat(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, coat: Coat, polygon: &[Point3]) {
         let size_m = (right.norm(), down.norm());
-        let texel_m = self.texel_for(&[corner, corner + right, corner + down]);
-        let (right, down) = (right / size_m.0, down / size_m.1);
-        let normal = down.cross(&right);
+        let (across, along) = (right / size_m.0, down / size_m.1);
+        let normal = along.cross(&across);
+        let texel_m = self.texel_for(&[corner, corner + right, corner + down], Some(normal));
+        let (right, down) = (across, along);
         let texture = self.sheets.len() as u32;
         self.sheets.push(Sheet { coat, size_m, texel_m, shape: Shape::Flat { corner, right, down, normal } });
         // Axes are directions for now; they are scaled to texels when the sheet is painted.
@@ -156,7 +162,7 @@ impl Builder {
         };
         let facet_width = 2.0 * radius * (std::f64::consts::PI / facets as f64).sin();
         let texture = self.sheets.len() as u32;
-        let texel_m = self.texel_for(&[bottom, top, bottom]);
+        let texel_m = self.texel_for(&[bottom, top, bottom], None);
         let size_m = (facet_width * facets as f64, height);
         self.sheets.push(Sheet { coat: side, size_m, texel_m, shape: Shape::Tube { top, axis, across, radius } });
         for facet in 0..facets {

@@ -126,7 +126,7 @@ fn lacquer(dice: &mut Dice) -> Coat {
 /// A flat thing on a wall: `x` its middle, `z` its lower edge in the wall's frame.
 fn hang(builder: &mut Builder, frame: &Isometry3, x: f64, z: f64, size: (f64, f64), thickness: f64, front: Coat) {
     let edge = Coat::Plain([120.0, 116.0, 110.0]);
-    // The frame's y points out of the room at the wall, hence a turn by pi: the cuboid's +x side faces the room.
+    // A quarter turn: the cuboid's +x side faces the room, as the wall frame's y does.
     let place = frame * upright(x, 0.0, z, std::f64::consts::FRAC_PI_2);
     let coats = CuboidCoats { top: Some(edge), bottom: Some(edge), sides: [Some(front), Some(edge), None, Some(edge)] };
     builder.cuboid(&(place * Isometry3::translation(0.5 * thickness, 0.0, 0.0)), [thickness, size.0, size.1], &coats);

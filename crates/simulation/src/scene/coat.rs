@@ -94,11 +94,13 @@ fn base(canvas: &mut Canvas, dice: &mut Dice, colour: Colour, mottle: Mottle) {
         add_octaves(&mut hue, place, hue_seed, mottle.coarsest_m, 0.05, 0.5 * mottle.amplitude, 0.7);
         if mottle.patches != 0.0 {
             patch.fill(0.0);
-            add_octaves(&mut patch, place, patch_seed, 0.5 * mottle.coarsest_m, 0.003, 1.0, 0.72);
+            add_octaves(&mut patch, place, patch_seed, 0.5 * mottle.coarsest_m, 0.003, 1.0, 0.8);
         }
         for index in 0..count {
             // The border of a patch is a few per cent of the noise's range wide: sharp, not jagged.
-            let patched = mottle.patches * ((patch[index] - 0.42) * 14.0).clamp(0.0, 1.0);
+            let dark = ((patch[index] - 0.42) * 14.0).clamp(0.0, 1.0);
+            let pale = ((-0.5 - patch[index]) * 14.0).clamp(0.0, 1.0);
+            let patched = mottle.patches * (dark - 0.7 * pale);
             let value = light[index] - patched;
             row[index] = [
                 (colour[0] + value + hue[index]).max(0.0),
@@ -144,7 +146,7 @@ fn scratches(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, opacit
         let (mut at, mut direction) = (anywhere(canvas, dice), dice.range_f32(0.0, 6.28));
         let light = dice.chance(0.5);
         let colour = if light { [222.0, 220.0, 214.0] } else { [42.0, 38.0, 36.0] };
-        let (width, step) = (dice.range_f32(0.0004, 0.0016), dice.range_f32(0.012, 0.07));
+        let (width, step) = (dice.range_f32(0.0004, 0.0016), dice.range_f32(0.008, 0.035));
         for _ in 0..1 + dice.below(4) {
             direction += 0.25 * dice.normal() as f32;
             let next = (at.0 + step * direction.cos(), at.1 + step * direction.sin());
@@ -181,16 +183,16 @@ fn worn(canvas: &mut Canvas, dice: &mut Dice, amplitude: f32, scratches_per_squa
 }
 
 fn plaster(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
-    base(canvas, dice, colour, Mottle { coarsest_m: 0.7, amplitude: 13.0, gain: 0.8, patches: 26.0 });
-    specks(canvas, dice, 420.0, (0.0015, 0.02), 0.42);
-    scratches(canvas, dice, 60.0, 0.45);
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.7, amplitude: 14.0, gain: 0.9, patches: 44.0 });
+    specks(canvas, dice, 1100.0, (0.0022, 0.009), 0.6);
+    scratches(canvas, dice, 40.0, 0.45);
     cracks(canvas, dice, 1.6);
 }
 
 fn concrete(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
-    base(canvas, dice, colour, Mottle { coarsest_m: 0.9, amplitude: 17.0, gain: 0.84, patches: 30.0 });
-    specks(canvas, dice, 900.0, (0.0016, 0.03), 0.5);
-    scratches(canvas, dice, 90.0, 0.5);
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.9, amplitude: 16.0, gain: 0.92, patches: 44.0 });
+    specks(canvas, dice, 1700.0, (0.0024, 0.011), 0.62);
+    scratches(canvas, dice, 60.0, 0.5);
     cracks(canvas, dice, 1.2);
     // Marking tape, much walked upon, and drops of paint.
     let (width, height) = canvas.size_m();
@@ -229,10 +231,10 @@ fn concrete(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
 fn strand_board(canvas: &mut Canvas, dice: &mut Dice) {
     let ground = [176.0, 136.0, 88.0];
     base(canvas, dice, ground, Mottle { coarsest_m: 0.5, amplitude: 10.0, gain: 0.7, patches: 0.0 });
-    for _ in 0..count(canvas, 2300.0, dice) {
+    for _ in 0..count(canvas, 3600.0, dice) {
         let at = anywhere(canvas, dice);
-        let half = (dice.range_f32(0.012, 0.055), dice.range_f32(0.003, 0.013));
-        let tone = dice.range_f32(-46.0, 40.0);
+        let half = (dice.range_f32(0.008, 0.042), dice.range_f32(0.002, 0.009));
+        let tone = dice.range_f32(-70.0, 52.0);
         let warm = dice.range_f32(-8.0, 8.0);
         let colour = [ground[0] + tone + warm, ground[1] + 0.95 * tone, ground[2] + 0.8 * tone - warm];
         let angle = 0.55 * dice.normal() as f32 + if dice.chance(0.2) { 1.4 } else { 0.0 };
@@ -246,8 +248,6 @@ fn wood(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
     let (grain_seed, fine_seed, wave_seed, tone_seed) = (dice.bits(), dice.bits(), dice.bits(), dice.bits());
     let (width, _) = canvas.size_m();
     let board = dice.range_f32(0.09, 0.16);
-    let lengths = count(canvas, 0.0, dice);
-    debug_assert_eq!(lengths, 0);
     let texels = canvas.width;
     canvas.fill_rows(|place, row| {
         let index = (place.y_m / board).floor();
@@ -260,10 +260,10 @@ fn wood(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
             moved,
             texels,
             &[
-                octave(grain_seed, (0.5, 0.022), 16.0),
-                octave(fine_seed, (0.22, 0.0075), 14.0),
-                octave(fine_seed ^ 77, (0.08, 0.0035), 12.0),
-                octave(fine_seed ^ 991, (0.012, 0.0025), 9.0),
+                octave(grain_seed, (0.5, 0.022), 18.0),
+                octave(fine_seed, (0.16, 0.0085), 20.0),
+                octave(fine_seed ^ 77, (0.05, 0.0045), 22.0),
+                octave(fine_seed ^ 991, (0.014, 0.003), 18.0),
             ],
         );
         let wave = Canvas::octave_row(moved, texels, &[octave(wave_seed, (0.35, 0.06), 1.0)]);
@@ -285,8 +285,8 @@ fn wood(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
             canvas.ellipse(at, (1.35 * reach, reach), 0.1, colour.map(|value| value * shade), 0.75);
         }
     }
-    specks(canvas, dice, 160.0, (0.0012, 0.012), 0.5);
-    scratches(canvas, dice, 70.0 * width.clamp(0.3, 1.0), 0.5);
+    specks(canvas, dice, 700.0, (0.0018, 0.007), 0.6);
+    scratches(canvas, dice, 50.0 * width.clamp(0.3, 1.0), 0.5);
 }
 
 fn terrazzo(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
@@ -315,8 +315,8 @@ fn terrazzo(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
 fn cardboard(canvas: &mut Canvas, dice: &mut Dice) {
     let shade = dice.range_f32(0.8, 1.06);
     let ground = [188.0 * shade, 148.0 * shade, 104.0 * shade];
-    base(canvas, dice, ground, Mottle { coarsest_m: 0.25, amplitude: 8.0, gain: 0.8, patches: 10.0 });
-    specks(canvas, dice, 500.0, (0.001, 0.006), 0.32);
+    base(canvas, dice, ground, Mottle { coarsest_m: 0.25, amplitude: 9.0, gain: 0.88, patches: 22.0 });
+    specks(canvas, dice, 1300.0, (0.0016, 0.005), 0.5);
     let whole = Patch::whole(canvas);
     let size = whole.width.min(whole.height);
     let print_colour = dice.pick(&[print::INK, [120.0, 40.0, 34.0], [34.0, 66.0, 120.0], [74.0, 56.0, 40.0]]);
@@ -346,7 +346,7 @@ fn cardboard(canvas: &mut Canvas, dice: &mut Dice) {
 }
 
 fn lacquer(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
-    base(canvas, dice, colour, Mottle { coarsest_m: 0.5, amplitude: 6.0, gain: 0.7, patches: 0.0 });
+    base(canvas, dice, colour, Mottle { coarsest_m: 0.5, amplitude: 7.0, gain: 0.8, patches: 7.0 });
     let whole = Patch::whole(canvas);
     let area = whole.width * whole.height;
     for _ in 0..((area * 5.0).ceil() as usize).min(7) {
@@ -374,8 +374,8 @@ fn lacquer(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
         }
     }
     // Chips show the primer, scratches the metal.
-    specks(canvas, dice, 260.0, (0.001, 0.010), 0.75);
-    scratches(canvas, dice, 110.0, 0.7);
+    specks(canvas, dice, 900.0, (0.0015, 0.007), 0.8);
+    scratches(canvas, dice, 45.0, 0.6);
 }
 
 fn steel(canvas: &mut Canvas, dice: &mut Dice) {
@@ -385,7 +385,7 @@ fn steel(canvas: &mut Canvas, dice: &mut Dice) {
     canvas.fill_rows(|place, row| {
         row_noise.fill(0.0);
         for (seed, cell_m, amplitude) in
-            [(seed, (0.3, 0.0035), 13.0), (second, (0.12, 0.009), 12.0), (broad, (0.3, 0.2), 18.0)]
+            [(seed, (0.2, 0.004), 15.0), (second, (0.06, 0.009), 15.0), (broad, (0.3, 0.2), 18.0)]
         {
             add_octave(&mut row_noise, place, Octave { seed, cell_m, amplitude });
         }
@@ -393,8 +393,8 @@ fn steel(canvas: &mut Canvas, dice: &mut Dice) {
             *colour = [148.0 + noise, 151.0 + noise, 155.0 + noise];
         }
     });
-    specks(canvas, dice, 500.0, (0.001, 0.02), 0.5);
-    scratches(canvas, dice, 220.0, 0.7);
+    specks(canvas, dice, 1600.0, (0.0016, 0.009), 0.62);
+    scratches(canvas, dice, 120.0, 0.7);
 }
 
 fn notice_board(canvas: &mut Canvas, dice: &mut Dice) {

@@ -16,8 +16,8 @@ const LAMPS: [Lamp; 2] =
     [Lamp { centre: [0.5, -0.75, 1.78], half: [0.75, 0.12] }, Lamp { centre: [-0.4, 0.8, 1.78], half: [0.75, 0.12] }];
 /// Squared distance at which a lamp lights as its strength says, square metres.
 const REFERENCE_SQUARED: f64 = 3.0;
-const LAMP_STRENGTH: f64 = 0.62;
-const AMBIENT_STRENGTH: f64 = 0.52;
+const LAMP_STRENGTH: f64 = 0.78;
+const AMBIENT_STRENGTH: f64 = 0.66;
 /// Surfaces farther away do not darken a corner, metres.
 const AMBIENT_REACH_M: f64 = 0.7;
 
@@ -49,7 +49,7 @@ pub(crate) fn light_at(caster: &RayCaster, point: &Point3, normal: &Vector3<f64>
     let other = normal.cross(&sideways);
     let (mut open, mut total) = (0.0, 0.0);
     // Directions of equal share of a cosine-weighted hemisphere, on a golden spiral.
-    const RAYS: u32 = 20;
+    const RAYS: u32 = 16;
     for ray in 0..RAYS {
         let radius = ((f64::from(ray) + 0.5) / f64::from(RAYS)).sqrt();
         let angle = f64::from(ray) * 2.399_963_229_728_653;

@@ -51,7 +51,7 @@ pub struct Scene {
 }
 
 /// A focal length of 1371 px is the paper's camera: at 1 m a pixel sees 0.73 mm.
-const TEXELS_PER_PIXEL: f64 = 0.75;
+const TEXELS_PER_PIXEL: f64 = 0.6;
 
 impl Scene {
     /// Draws the scene for a camera of this focal length (pixels), from which the texel size follows unless the

@@ -66,10 +66,12 @@ impl Texture {
         // The narrow side of the parallelogram is its area over its long side, not the other edge.
         let area = (by_x.0 * by_y.1 - by_x.1 * by_y.0).abs();
         let minor = (area / major.max(1e-6)).max(1e-6);
-        let probes = (major / minor.max(1.0) - 0.15).ceil().clamp(1.0, MOST_PROBES);
-        let level = (minor.max(major / probes)).log2().clamp(0.0, (self.levels.len() - 1) as f32);
-        let (fine, blend) = (level as usize, level - level.floor());
-        let count = probes as u32;
+        let count = (major / minor.max(1.0) + 0.85).clamp(1.0, MOST_PROBES) as u32;
+        let probes = count as f32;
+        let width = minor.max(major / probes);
+        let level = if width <= 1.0 { 0.0 } else { width.log2().min((self.levels.len() - 1) as f32) };
+        let fine = level as usize;
+        let blend = level - fine as f32;
         let mut sum = [0.0f32; 4];
         for probe in 0..count {
             let offset = (probe as f32 + 0.5) / probes - 0.5;
@@ -113,10 +115,11 @@ impl Level {
     fn add_bilinear(&self, s: f32, t: f32, level: usize, weight: f32, sum: &mut [f32; 4]) {
         let scale = 1.0 / (1u32 << level) as f32;
         let (x, y) = (s * scale - 0.5, t * scale - 0.5);
-        let (x_floor, y_floor) = (x.floor(), y.floor());
-        let (u, v) = (x - x_floor, y - y_floor);
-        // A float beyond the range of i32 saturates, and the clamp brings it back.
-        let (x0, y0) = (x_floor as i32, y_floor as i32);
+        // Rounding down by hand: the library's floor is a call without SSE 4.1. A float beyond the range of i32
+        // saturates, and the clamps bring it back.
+        let (x0, y0) = (x as i32, y as i32);
+        let (x0, y0) = (x0.saturating_sub(i32::from(x0 as f32 > x)), y0.saturating_sub(i32::from(y0 as f32 > y)));
+        let (u, v) = ((x - x0 as f32).clamp(0.0, 1.0), (y - y0 as f32).clamp(0.0, 1.0));
         let left = x0.clamp(0, self.width - 1) as usize;
         let right = x0.saturating_add(1).clamp(0, self.width - 1) as usize;
         let upper = y0.clamp(0, self.height - 1) as usize * self.width as usize;
