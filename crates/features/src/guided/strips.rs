@@ -1,14 +1,15 @@
 //! Keypoints sorted into strips, so that those near a line are a few stretches of memory.
 //!
-//! The image is cut into strips across one axis ("across"), and within a strip the keypoints are sorted into bins along
-//! the other ("along"). A line that runs more across than along passes each strip once; the band around it is there one
-//! run of bins, and the keypoints of a run lie side by side, descriptors included.
+//! The image is cut into strips across one direction ("across"), and within a strip the keypoints are sorted into bins
+//! along the perpendicular one ("along"). A line that runs more across than along passes each strip once; the band
+//! around it is there one run of bins, and the keypoints of a run lie side by side, descriptors included. The less a
+//! line slants, the fewer keypoints besides those of the band are met: the direction is that of most lines.
 
 use crate::{Descriptor, FeaturesError};
-use nalgebra::{Point2, Vector3};
+use nalgebra::{Point2, Vector2, Vector3};
 
 /// Width of a strip, px: wide enough that few strips are visited, narrow enough that a slanting line sweeps little.
-const STRIP_PX: f64 = 48.0;
+const STRIP_PX: f64 = 80.0;
 /// Height of a bin, px.
 const BIN_PX: f64 = 4.0;
 /// Strips and bins at most, which bounds the memory if a position is far outside of the image.
@@ -17,43 +18,47 @@ const MAX_BINS: usize = 2048;
 /// Slack of ranges, px; far more than the rounding of positions and far less than a threshold.
 const SLACK_PX: f64 = 1e-6;
 
-/// The axis that strips cut.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Across {
-    /// Strips side by side in x; for lines nearer to level.
-    X,
-    /// Strips one below the other in y; for lines nearer to upright.
-    Y,
-}
+/// The direction, of length one, that strips cut; `along` is it turned by a right angle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Across(Vector2<f64>);
 
 impl Across {
-    /// The axis for which the line passes each strip at a slope of at most one.
-    pub(super) fn for_line(line: &Vector3<f64>) -> Self {
-        if line.y.abs() >= line.x.abs() { Across::X } else { Across::Y }
+    /// The direction in which most of the lines (with unit normals, or zero) run.
+    pub(super) fn most(lines: &[Vector3<f64>]) -> Self {
+        // Doubled angles: a normal and its opposite are one line.
+        let (cosine, sine) = lines
+            .iter()
+            .fold((0.0, 0.0), |(c, s), line| (c + line.x * line.x - line.y * line.y, s + 2.0 * line.x * line.y));
+        let angle = 0.5 * f64::atan2(sine, cosine);
+        Across(Vector2::new(-angle.sin(), angle.cos()))
     }
 
-    fn split(self, point: &Point2<f64>) -> (f64, f64) {
-        match self {
-            Across::X => (point.x, point.y),
-            Across::Y => (point.y, point.x),
-        }
+    /// The direction at a right angle, for lines that run so.
+    pub(super) fn turned(self) -> Self {
+        Across(Vector2::new(-self.0.y, self.0.x))
+    }
+
+    /// Whether the line passes each strip at a slope of at most one.
+    pub(super) fn suits(self, line: &Vector3<f64>) -> bool {
+        let (across, along) = self.split(line.x, line.y);
+        along.abs() >= across.abs()
+    }
+
+    #[inline(always)]
+    fn split(self, x: f64, y: f64) -> (f64, f64) {
+        (self.0.x * x + self.0.y * y, self.0.x * y - self.0.y * x)
     }
 }
 
 /// An interval, ends included.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Range {
-    pub(super) from: f64,
-    pub(super) to: f64,
+struct Range {
+    from: f64,
+    to: f64,
 }
 
 impl Range {
-    pub(super) const ALL: Range = Range { from: f64::NEG_INFINITY, to: f64::INFINITY };
-
-    pub(super) fn around(centre: f64, half: f64) -> Self {
-        Range { from: centre - half - SLACK_PX, to: centre + half + SLACK_PX }
-    }
-
+    #[inline(always)]
     fn and(self, other: Range) -> Self {
         Range { from: self.from.max(other.from), to: self.to.min(other.to) }
     }
@@ -77,7 +82,8 @@ pub(super) struct Strips {
     first_across: f64,
     first_along: f64,
     strip_px: f64,
-    bin_px: f64,
+    strips_per_px: f64,
+    bins_per_px: f64,
     strips: usize,
     bins: usize,
     /// Where each bin of each strip starts in the lists below; one more entry at the end.
@@ -98,7 +104,7 @@ impl Strips {
     ) -> Result<Self, FeaturesError> {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         for position in positions {
-            let (x, y) = across.split(position);
+            let (x, y) = across.split(position.x, position.y);
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
         }
@@ -114,7 +120,8 @@ impl Strips {
             first_across: low.0,
             first_along: low.1,
             strip_px,
-            bin_px,
+            strips_per_px: 1.0 / strip_px,
+            bins_per_px: 1.0 / bin_px,
             strips: (wide / strip_px) as usize + 1,
             bins: (long / bin_px) as usize + 1,
             starts: Vec::new(),
@@ -125,7 +132,7 @@ impl Strips {
             .iter()
             .zip(0..)
             .map(|(position, index)| {
-                let (x, y) = across.split(position);
+                let (x, y) = across.split(position.x, position.y);
                 ((sorted.strip(x) * sorted.bins + sorted.bin(y)) as u32, index)
             })
             .collect();
@@ -143,63 +150,72 @@ impl Strips {
         Ok(sorted)
     }
 
+    #[inline(always)]
     fn strip(&self, x: f64) -> usize {
         // Casts of floats saturate: what is left of the first strip is in it.
-        (((x - self.first_across) / self.strip_px) as usize).min(self.strips - 1)
+        (((x - self.first_across) * self.strips_per_px) as usize).min(self.strips - 1)
     }
 
+    #[inline(always)]
     fn bin(&self, y: f64) -> usize {
-        (((y - self.first_along) / self.bin_px) as usize).min(self.bins - 1)
+        (((y - self.first_along) * self.bins_per_px) as usize).min(self.bins - 1)
     }
 
-    /// The keypoints in reach as runs of the stored list: within `half` of the line and within the window (x, y), and
-    /// some more.
-    ///
-    /// Without a line (or for a zero one) the window alone counts.
-    pub(super) fn runs(
+    /// Visits the keypoints in reach as runs of the stored list: within `half` of the line and within the radius of the
+    /// point, and some more. For a zero line the point alone counts.
+    #[inline(always)]
+    pub(super) fn for_each_run(
         &self,
-        line: Option<(&Vector3<f64>, f64)>,
-        window: (Range, Range),
-    ) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
-        let (window_across, window_along) = match self.across {
-            Across::X => window,
-            Across::Y => (window.1, window.0),
-        };
-        // The line as along = offset + slope * across.
-        let line = line.and_then(|(line, half)| {
-            let (across, along) = self.across.split(&Point2::new(line.x, line.y));
-            (along != 0.0).then(|| (-line.z / along, -across / along, half / along.abs()))
-        });
+        line: &Vector3<f64>,
+        half: f64,
+        near: Option<(Point2<f64>, f64)>,
+        mut visit: impl FnMut(std::ops::Range<usize>),
+    ) {
+        let mut crossed = Range { from: f64::NEG_INFINITY, to: f64::INFINITY };
+        let mut window = crossed;
+        if let Some((point, radius)) = near {
+            let (across, along) = self.across.split(point.x, point.y);
+            crossed = Range { from: across - radius - SLACK_PX, to: across + radius + SLACK_PX };
+            window = Range { from: along - radius - SLACK_PX, to: along + radius + SLACK_PX };
+        }
+        let length = self.bins as f64;
         let last_across = self.first_across + self.strips as f64 * self.strip_px;
-        let last_along = self.first_along + self.bins as f64 * self.bin_px;
-        let mut crossed = Range { from: self.first_across, to: last_across }.and(window_across);
-        // A line leaves the image early if it is steep, at most one strip for each on the way.
-        if let Some((offset, slope, half)) = line
-            && slope != 0.0
-        {
-            let ends = [self.first_along - half - SLACK_PX, last_along + half + SLACK_PX].map(|y| (y - offset) / slope);
+        crossed = crossed.and(Range { from: self.first_across, to: last_across });
+
+        // From here on heights are in bins. The line: along = start + slope * across.
+        let in_bins = |y: f64| (y - self.first_along) * self.bins_per_px;
+        let window = Range { from: in_bins(window.from), to: in_bins(window.to) }.and(Range { from: 0.0, to: length });
+        let (across, along) = self.across.split(line.x, line.y);
+        let (start, slope, half) = if along == 0.0 {
+            (0.0, 0.0, f64::INFINITY)
+        } else {
+            let slope = -across / along * self.bins_per_px;
+            let half = (half / along.abs() + SLACK_PX) * self.bins_per_px;
+            (in_bins(-line.z / along), slope, half)
+        };
+        // A slanting line leaves the image early.
+        if slope != 0.0 && half.is_finite() {
+            let ends = [(-half - start) / slope, (length + half - start) / slope];
             crossed = crossed.and(Range { from: ends[0].min(ends[1]), to: ends[0].max(ends[1]) });
         }
-        let strips = if crossed.from <= crossed.to {
-            self.strip(crossed.from)..self.strip(crossed.to) + 1
-        } else {
-            0..0
-        };
-        strips.filter_map(move |strip| {
-            let mut range = window_along;
-            if let Some((offset, slope, half)) = line {
-                let from = self.first_across + strip as f64 * self.strip_px;
-                let (start, end) = (offset + slope * from, offset + slope * (from + self.strip_px));
-                range = range
-                    .and(Range { from: start.min(end) - half - SLACK_PX, to: start.max(end) + half + SLACK_PX });
+        if crossed.from > crossed.to || window.from > window.to {
+            return;
+        }
+        let rise = slope * self.strip_px;
+        let (lower, upper) = (rise.min(0.0) - half, rise.max(0.0) + half);
+        for strip in self.strip(crossed.from)..self.strip(crossed.to) + 1 {
+            let at = start + slope * (self.first_across + strip as f64 * self.strip_px);
+            let range = Range { from: at + lower, to: at + upper }.and(window);
+            if range.from > range.to {
+                continue;
             }
-            if range.from > range.to || range.to < self.first_along || range.from > last_along {
-                return None;
+            let bins = &self.starts[strip * self.bins..(strip + 1) * self.bins + 1];
+            let last = (range.to as u32 as usize).min(self.bins - 1);
+            let first = (range.from as u32 as usize).min(last);
+            let run = bins[first] as usize..bins[last + 1] as usize;
+            if !run.is_empty() {
+                visit(run);
             }
-            let base = strip * self.bins;
-            let run = self.starts[base + self.bin(range.from)] as usize
-                ..self.starts[base + self.bin(range.to) + 1] as usize;
-            (!run.is_empty()).then_some(run)
-        })
+        }
     }
 }
