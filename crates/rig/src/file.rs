@@ -7,7 +7,7 @@ use crate::{Board, BoardPattern, Prior, Rig};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{DISTORTION_COEFFICIENTS, DepthCamera, Isometry3, PinholeCamera};
-use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, SerialChain};
+use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, SerialChain, chain_from_urdf, urdf_ends};
 use std::path::{Path, PathBuf};
 
 /// Why a rig file could not be read or written.
@@ -175,6 +175,8 @@ enum BoardKind {
 
 /// The largest rig file that is read; a real one has a few kilobytes.
 const MAX_RIG_BYTES: u64 = 4 << 20;
+/// The largest robot description that is read; meshes lie in files of their own.
+const MAX_URDF_BYTES: u64 = 16 << 20;
 /// The largest image side that is believed, pixels.
 const MAX_SIDE: u32 = 32_768;
 
@@ -284,9 +286,42 @@ impl Reader<'_> {
             .map_err(|error: KinematicsError| self.value("robot", error.to_string()))
     }
 
+    /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one choice.
     fn urdf(&self, table: RobotTable) -> Result<SerialChain, RigFileError> {
-        let _ = table;
-        Err(self.value("robot.urdf", "URDF is not read yet"))
+        if table.convention.is_some() || !table.joint.is_empty() {
+            return Err(
+                self.value("robot.urdf", "stands beside convention or [[robot.joint]]; describe the arm in one way")
+            );
+        }
+        if table.base_from_first.is_some() || table.last_from_flange.is_some() {
+            return Err(self.value(
+                "robot.urdf",
+                "the URDF's links say where base and tip are; choose them with base_link and tip_link",
+            ));
+        }
+        let name = table.urdf.unwrap_or_default();
+        let path = self.path.parent().unwrap_or(Path::new("")).join(&name);
+        let io = |source| RigFileError::Io { path: path.clone(), source };
+        let length = std::fs::metadata(&path).map_err(io)?.len();
+        if length > MAX_URDF_BYTES {
+            return Err(self.value(
+                "robot.urdf",
+                format!("{name} has {length} bytes; a robot description has at most {MAX_URDF_BYTES}"),
+            ));
+        }
+        let text = std::fs::read_to_string(&path).map_err(io)?;
+        let refused = |error: KinematicsError| self.value("robot.urdf", format!("{name}: {error}"));
+        let (bases, tips) = urdf_ends(&text).map_err(refused)?;
+        let choose = |key: &str, given: Option<String>, found: Vec<String>| match (given, found.as_slice()) {
+            (Some(link), _) => Ok(link),
+            (None, [only]) => Ok(only.clone()),
+            (None, _) => {
+                Err(self.value(key, format!("is missing, and {name} leaves the choice of {}", found.join(", "))))
+            }
+        };
+        let base_link = choose("robot.base_link", table.base_link, bases)?;
+        let tip_link = choose("robot.tip_link", table.tip_link, tips)?;
+        chain_from_urdf(&text, &base_link, &tip_link).map_err(refused)
     }
 
     fn joint(&self, index: usize, convention: Convention, table: JointTable) -> Result<Joint, RigFileError> {

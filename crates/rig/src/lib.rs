@@ -4,12 +4,14 @@
 //! calibrated one that goes out. This crate knows no image content, no estimator and no scene.
 
 mod board;
+mod builtin;
 mod file;
 mod posture;
 mod prior;
 mod rig;
 
 pub use board::{Board, BoardPattern};
+pub use builtin::{builtin_names, builtin_rig};
 pub use file::RigFileError;
 pub use posture::{Posture, PostureState};
 pub use prior::Prior;
