@@ -96,9 +96,9 @@ impl SerialChain {
                     link.theta_offset = if a < COINCIDENT { 0.0 } else { turn_to(&frame, &x) };
                     let z = (frame * turn_and_slide(&link)).rotation.inverse() * lines[index + 1].direction_in_base;
                     Link::hayati(
-                        (-z.y).atan2(z.z),
+                        snapped((-z.y).atan2(z.z)),
                         if a < COINCIDENT { 0.0 } else { a },
-                        z.x.atan2(z.y.hypot(z.z)),
+                        snapped(z.x.atan2(z.y.hypot(z.z))),
                         0.0,
                     )
                 }
@@ -109,7 +109,7 @@ impl SerialChain {
                         link.theta_offset = turn_to(&frame, &-x);
                     }
                     let z = (frame * turn_and_slide(&link)).rotation.inverse() * lines[index + 1].direction_in_base;
-                    Link::modified_dh((-z.y).atan2(z.z), 0.0, 0.0, 0.0)
+                    Link::modified_dh(snapped((-z.y).atan2(z.z)), 0.0, 0.0, 0.0)
                 }
             };
             joints.push(joint(&lines[index], link));
