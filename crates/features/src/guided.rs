@@ -142,10 +142,8 @@ fn nearest_admitted(
         let line = |in_b: &Point2<f64>| gate.map_or(Vector3::zeros(), |gate| gate.line_in_a(in_b));
         needed.then(|| Strips::new(across, b.positions, b.descriptors, line)).transpose()
     };
-    let (level, upright) = rayon::join(
-        || sort(level, suited.contains(&true)),
-        || sort(level.turned(), suited.contains(&false)),
-    );
+    let (level, upright) =
+        rayon::join(|| sort(level, suited.contains(&true)), || sort(level.turned(), suited.contains(&false)));
     let (level, upright) = (level?, upright?);
 
     let band_rows = BAND_ROWS.max(a.positions.len().div_ceil(MAX_BANDS));

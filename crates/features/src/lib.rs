@@ -9,6 +9,7 @@ pub mod filter;
 pub mod guided;
 mod keypoint;
 pub mod matching;
+pub mod refine;
 
 pub use akaze::{Akaze, AkazeOptions};
 pub use error::FeaturesError;
@@ -16,3 +17,4 @@ pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions,
 pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
+pub use refine::{Pyramid, RefineOptions, Refined, Rejection, Seed, WarpModel, refine_matches};

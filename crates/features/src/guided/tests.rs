@@ -55,8 +55,7 @@ fn plain(
     let mut matches = Vec::new();
     for i in 0..a.positions.len() {
         let distance = |j: usize| a.descriptors[i].hamming(&b.descriptors[j]);
-        let mut order: Vec<_> =
-            (0..b.positions.len()).filter(|&j| admitted(i, j)).map(|j| (distance(j), j)).collect();
+        let mut order: Vec<_> = (0..b.positions.len()).filter(|&j| admitted(i, j)).map(|j| (distance(j), j)).collect();
         order.sort_unstable();
         let Some(&(distance, j)) = order.first() else { continue };
         let second_distance = order.get(1).map_or(u32::MAX, |next| next.0);

@@ -1,0 +1,278 @@
+//! The second point of a match, refined to a few hundredths of a pixel.
+//!
+//! A detector finds the same point in two images to some tenths of a pixel. Where the surface around it is smooth, far
+//! more is known: the patch around the point of image A, warped as the change of view predicts, is to be found in
+//! image B. The point of image A is taken as it stands (it *names* the point), the one in image B is moved until the
+//! patches agree, by Lucas and Kanade's method ([`align`]), and gets a covariance from the gradients of the patch and
+//! from what remains of the difference.
+//!
+//! Large keypoints are first aligned at a coarse level of a pyramid and then at finer ones, as long as that makes the
+//! answer more certain.
+
+mod align;
+mod pyramid;
+
+pub use pyramid::Pyramid;
+
+use crate::{FeaturesError, KeyPoint};
+use align::{Fit, Freedom, Template, Warp};
+use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
+use pyramid::Cubic;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What is refined, how far, and what is believed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RefineOptions {
+    /// Samples along a side of the patch; odd, from 7 to 31. One sample is one pixel at the level of the keypoint.
+    pub patch: usize,
+    /// What of the predicted warp may be improved.
+    pub model: WarpModel,
+    /// Iterations at most, at each level.
+    pub max_iterations: usize,
+    /// The point may move this many samples at its coarsest level (pixels, for small keypoints).
+    pub max_shift: f64,
+    /// Least zero-mean normalised correlation of the patches when aligned.
+    pub min_correlation: f64,
+    /// Largest standard deviation of the refined point in its worst direction, px.
+    pub max_sigma_px: f64,
+}
+
+impl Default for RefineOptions {
+    fn default() -> Self {
+        RefineOptions {
+            patch: 15,
+            model: WarpModel::Affine,
+            max_iterations: 12,
+            max_shift: 3.0,
+            min_correlation: 0.8,
+            max_sigma_px: 0.5,
+        }
+    }
+}
+
+/// What of the predicted warp may be improved beside the position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WarpModel {
+    /// Nothing: the prediction is trusted (from pose and depth, say).
+    Translation,
+    /// Its linear part: the prediction is rough (from the scale and orientation of keypoints).
+    Affine,
+}
+
+/// A match to refine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seed {
+    /// The point in image A, px of the image as it is (with its distortion).
+    pub in_a: Point2<f64>,
+    /// Where it is believed to be in image B, px.
+    pub in_b: Point2<f64>,
+    /// The predicted change of the patch: a small offset `d` in image A becomes `b_from_a * d` in image B.
+    pub b_from_a: Matrix2<f64>,
+    /// Diameter of the keypoint in image A, px; chooses the level.
+    pub size_px: f64,
+}
+
+impl Seed {
+    /// A match of two keypoints, its warp from their sizes and orientations.
+    pub fn from_keypoints(a: &KeyPoint, b: &KeyPoint) -> Self {
+        Seed {
+            in_a: Point2::new(f64::from(a.x), f64::from(a.y)),
+            in_b: Point2::new(f64::from(b.x), f64::from(b.y)),
+            b_from_a: similarity(a, b),
+            size_px: f64::from(a.size),
+        }
+    }
+}
+
+/// The change from keypoint A's neighbourhood to keypoint B's that their sizes and orientations tell.
+pub fn similarity(a: &KeyPoint, b: &KeyPoint) -> Matrix2<f64> {
+    let turn = Rotation2::new(f64::from(b.angle) - f64::from(a.angle));
+    turn.matrix() * (f64::from(b.size) / f64::from(a.size))
+}
+
+/// A refined match.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Refined {
+    /// The point in image B that shows what the point in image A shows, px.
+    pub in_b: Point2<f64>,
+    /// Its covariance, px².
+    pub covariance: Matrix2<f64>,
+    /// Zero-mean normalised correlation of the patches.
+    pub correlation: f64,
+    /// The change of the patch as it was found.
+    pub b_from_a: Matrix2<f64>,
+}
+
+/// Why a match could not be refined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rejection {
+    /// The patch leaves one of the images.
+    OutsideImage,
+    /// The patch has too little structure to be found again.
+    NoTexture,
+    /// The prediction is not finite, turns the patch over, or changes its size more than eightfold.
+    BadPrediction,
+    /// The point moved farther than allowed, or the patch was distorted beyond belief.
+    MovedTooFar,
+    /// The iterations did not come to rest.
+    NotConverged,
+    /// The patches do not look alike.
+    PoorCorrelation,
+    /// The point is not certain enough.
+    Uncertain,
+}
+
+/// Keypoint diameter for which one sample is one pixel of the full image (AKAZE's finest level has 4.8).
+const FINEST_SIZE_PX: f64 = 5.0;
+/// At rest, px of the level.
+const AT_REST: f64 = 0.003;
+/// Least contrast (standard deviation) of a patch, grey values.
+const LEAST_CONTRAST: f64 = 1.0;
+/// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
+const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * pyramid::SMOOTHING_PX2;
+/// What interpolation and sensor leave whatever the noise says, px.
+const FLOOR_SIGMA_PX: f64 = 0.005;
+
+impl RefineOptions {
+    fn check(&self) -> Result<(), FeaturesError> {
+        let bad = |option, got: String, need| Err(FeaturesError::BadOption { option, got, need });
+        if !(7..=31).contains(&self.patch) || self.patch.is_multiple_of(2) {
+            return bad("patch", self.patch.to_string(), "an odd number from 7 to 31");
+        }
+        if !(self.max_shift > 0.0 && self.max_shift.is_finite()) {
+            return bad("max_shift", self.max_shift.to_string(), "a positive number of samples");
+        }
+        if !(self.min_correlation >= -1.0 && self.min_correlation <= 1.0) {
+            return bad("min_correlation", self.min_correlation.to_string(), "a number from -1 to 1");
+        }
+        if !(self.max_sigma_px > 0.0) {
+            return bad("max_sigma_px", self.max_sigma_px.to_string(), "a positive number of pixels");
+        }
+        Ok(())
+    }
+}
+
+/// Refines matches between two images; the answers stand in the order of the seeds.
+///
+/// Uses rayon's current pool; the result does not depend on it.
+///
+/// # Errors
+/// Options out of range. What is wrong with a single match is its [`Rejection`].
+pub fn refine_matches(
+    a: &Pyramid,
+    b: &Pyramid,
+    seeds: &[Seed],
+    options: &RefineOptions,
+) -> Result<Vec<Result<Refined, Rejection>>, FeaturesError> {
+    options.check()?;
+    let refine = |template: &mut Template, seed: &Seed| refine_one(template, a, b, seed, options);
+    Ok(seeds.par_iter().with_min_len(32).map_init(|| Template::new(options.patch), refine).collect())
+}
+
+/// Coarse to fine for one match.
+fn refine_one(
+    template: &mut Template,
+    a: &Pyramid,
+    b: &Pyramid,
+    seed: &Seed,
+    options: &RefineOptions,
+) -> Result<Refined, Rejection> {
+    let finite = seed.in_a.iter().chain(seed.in_b.iter()).chain(seed.b_from_a.iter()).all(|value| value.is_finite());
+    let determinant = seed.b_from_a.determinant();
+    if !finite || !(1.0 / 64.0..=64.0).contains(&determinant) || !(seed.size_px > 0.0) {
+        return Err(Rejection::BadPrediction);
+    }
+    let coarsest = (seed.size_px / FINEST_SIZE_PX).log2().round().clamp(0.0, (a.levels.len() - 1) as f64) as usize;
+    let mut best: Option<Refined> = None;
+    let mut from = *seed;
+    for level in (0..=coarsest).rev() {
+        // Later levels only correct what the coarser one left.
+        let reach = if best.is_none() { options.max_shift } else { options.max_shift.min(1.5) };
+        match refine_at(template, a, b, &from, level, reach, options) {
+            Ok(refined) => {
+                let finer = best.is_none_or(|best| refined.covariance.trace() < best.covariance.trace());
+                if !finer {
+                    break;
+                }
+                best = Some(refined);
+                (from.in_b, from.b_from_a) = (refined.in_b, refined.b_from_a);
+            }
+            // The finer level adds nothing, or the coarse one did not fit and the finer might.
+            Err(rejection) if level == 0 || best.is_some() => return best.ok_or(rejection),
+            Err(_) => {}
+        }
+    }
+    best.ok_or(Rejection::NotConverged)
+}
+
+/// Aligns at one level of image A, and at that of image B where a sample is about one pixel.
+fn refine_at(
+    template: &mut Template,
+    a: &Pyramid,
+    b: &Pyramid,
+    seed: &Seed,
+    level_a: usize,
+    reach: f64,
+    options: &RefineOptions,
+) -> Result<Refined, Rejection> {
+    let scale_a = f64::from(1u32 << level_a);
+    let magnification = seed.b_from_a.determinant().sqrt();
+    let level_b = (level_a as f64 + magnification.log2().round()).clamp(0.0, (b.levels.len() - 1) as f64) as usize;
+    let scale_b = f64::from(1u32 << level_b);
+    let level = &b.levels[level_b];
+    // The image that shows the patch larger is smoothed more, so that both show the same detail.
+    let larger_in_b = magnification * scale_a / scale_b;
+    let more = |ratio: f64| Cubic::smoothing(pyramid::SMOOTHING_PX2 * (ratio * ratio - 1.0));
+    let (cubic_a, cubic_b) = (more(1.0 / larger_in_b), more(larger_in_b));
+    if !template.cut(&a.levels[level_a], [seed.in_a.x / scale_a, seed.in_a.y / scale_a], &cubic_a) {
+        return Err(Rejection::OutsideImage);
+    }
+    if template.contrast() < LEAST_CONTRAST {
+        return Err(Rejection::NoTexture);
+    }
+    let start =
+        Warp { centre: seed.in_b.coords / scale_b, linear: seed.b_from_a * (scale_a / scale_b), cubic: cubic_b };
+    let mut warp = start;
+    let reach = reach * start.linear.determinant().sqrt();
+
+    let mut freedom = Freedom::Shift;
+    let mut at_rest = false;
+    for iteration in 0..options.max_iterations {
+        let moved = template.step(level, &mut warp, freedom).ok_or(Rejection::OutsideImage)?;
+        let change = warp.linear.determinant() / start.linear.determinant();
+        if (warp.centre - start.centre).norm() > reach || !(0.4..2.5).contains(&change) {
+            return Err(Rejection::MovedTooFar);
+        }
+        match (options.model, freedom) {
+            // First the shift alone: the linear part of a displaced patch is noise.
+            (WarpModel::Affine, Freedom::Shift) if moved < 0.3 || iteration >= 3 => freedom = Freedom::Affine,
+            (WarpModel::Affine, Freedom::Shift) => {}
+            _ if moved < AT_REST => {
+                at_rest = true;
+                break;
+            }
+            _ => {}
+        }
+    }
+    if !at_rest {
+        return Err(Rejection::NotConverged);
+    }
+    let Fit { correlation, covariance } = template.fit(level, &warp, freedom).ok_or(Rejection::NoTexture)?;
+    if correlation < options.min_correlation {
+        return Err(Rejection::PoorCorrelation);
+    }
+    let covariance = covariance * (SAMPLES_IN_ONE * scale_b * scale_b)
+        + Matrix2::identity() * (FLOOR_SIGMA_PX * scale_b * FLOOR_SIGMA_PX * scale_b);
+    if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
+        return Err(Rejection::Uncertain);
+    }
+    let in_b: Vector2<f64> = warp.centre * scale_b;
+    Ok(Refined { in_b: in_b.into(), covariance, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+}
+
+#[cfg(test)]
+mod tests;

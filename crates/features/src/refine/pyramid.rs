@@ -1,0 +1,205 @@
+//! An image at halved sizes, smoothed so that interpolating it does little harm.
+
+use image::GrayImage;
+
+/// Fixed point: a grey value times this.
+const UNITS: f32 = 256.0;
+/// Smallest side of a level, px.
+const SMALLEST_SIDE: usize = 32;
+/// Levels at most; patches of larger keypoints are cut from the last.
+const MAX_LEVELS: usize = 6;
+
+/// Variance of the smoothing of a level along an axis, px² of the level: of the filter (1 2 1)/4 for level 0; for the
+/// others, that and (1 4 6 4 1)/16 amount to 0.6 px instead of 0.7.
+pub(super) const SMOOTHING_PX2: f64 = 0.5;
+/// The cubic B-spline smooths by this variance along an axis, px²; that of Catmull and Rom does not smooth.
+pub(super) const SPLINE_PX2: f64 = 1.0 / 3.0;
+
+/// Interpolation by a cubic: the coefficients of the weights of four samples in the offset from the second.
+///
+/// A blend of Catmull and Rom's spline, which interpolates, and the B-spline, which smooths.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cubic([[f32; 4]; 4]);
+
+impl Cubic {
+    /// The cubic that smooths by this variance, px², as far as that is in its power.
+    pub(super) fn smoothing(variance_px2: f64) -> Self {
+        const CATMULL_ROM: [[f64; 4]; 4] =
+            [[0.0, -0.5, 1.0, -0.5], [1.0, 0.0, -2.5, 1.5], [0.0, 0.5, 2.0, -1.5], [0.0, 0.0, -0.5, 0.5]];
+        const B_SPLINE: [[f64; 4]; 4] =
+            [[1.0, -3.0, 3.0, -1.0], [4.0, 0.0, -6.0, 3.0], [1.0, 3.0, 3.0, -3.0], [0.0, 0.0, 0.0, 1.0]];
+        let share = (variance_px2 / SPLINE_PX2).clamp(0.0, 1.0);
+        let blend = |sample: usize, power: usize| {
+            ((1.0 - share) * CATMULL_ROM[sample][power] + share * B_SPLINE[sample][power] / 6.0) as f32
+        };
+        Cubic(std::array::from_fn(|sample| std::array::from_fn(|power| blend(sample, power))))
+    }
+
+    #[inline(always)]
+    fn weights(&self, t: f32) -> [f32; 4] {
+        self.0.map(|c| ((c[3] * t + c[2]) * t + c[1]) * t + c[0])
+    }
+}
+
+/// An image prepared for [`refine_matches`](super::refine_matches): smoothed, and at halved sizes.
+///
+/// Pixel (x, y) of level `l` lies at `(x, y) * 2^l` of the image. Takes 2.7 bytes a pixel of the image.
+#[derive(Debug, Clone)]
+pub struct Pyramid {
+    pub(super) levels: Vec<Level>,
+}
+
+/// One size of the image.
+#[derive(Debug, Clone)]
+pub(super) struct Level {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    /// Rows of grey values in fixed point.
+    values: Vec<u16>,
+}
+
+impl Pyramid {
+    /// Prepares an image of any size.
+    pub fn new(image: &GrayImage) -> Self {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        // 255 * 256 fits 16 bits.
+        let values = image.as_raw().iter().map(|&value| u16::from(value) * UNITS as u16).collect();
+        let mut levels = vec![Level { width, height, values }.smoothed([0, 4, 8, 4, 0], 1)];
+        while levels.len() < MAX_LEVELS {
+            let last = &levels[levels.len() - 1];
+            if last.width.min(last.height) < 2 * SMALLEST_SIDE {
+                break;
+            }
+            let next = last.smoothed([1, 4, 6, 4, 1], 2);
+            levels.push(next);
+        }
+        Pyramid { levels }
+    }
+}
+
+impl Level {
+    /// Every `step`th pixel of every `step`th row after smoothing both ways with a filter that sums to 16, edges repeated.
+    fn smoothed(&self, filter: [u32; 5], step: usize) -> Level {
+        let (width, height) = (self.width.div_ceil(step), self.height.div_ceil(step));
+        let mut values = Vec::with_capacity(width * height);
+        if width == 0 || height == 0 {
+            return Level { width, height, values };
+        }
+        let mut column_sums = vec![0u32; self.width + 4];
+        for y in (0..self.height).step_by(step) {
+            let row = |offset: isize| {
+                let y = (y as isize + offset).clamp(0, self.height as isize - 1) as usize;
+                &self.values[y * self.width..(y + 1) * self.width]
+            };
+            let [r0, r1, r2, r3, r4] = [-2, -1, 0, 1, 2].map(row);
+            let sums = &mut column_sums[2..self.width + 2];
+            for (x, sum) in sums.iter_mut().enumerate() {
+                let outer = u32::from(r0[x]) + u32::from(r4[x]);
+                let inner = u32::from(r1[x]) + u32::from(r3[x]);
+                *sum = filter[0] * outer + filter[1] * inner + filter[2] * u32::from(r2[x]);
+            }
+            let (first, last) = (column_sums[2], column_sums[self.width + 1]);
+            column_sums[..2].fill(first);
+            column_sums[self.width + 2..].fill(last);
+            values.extend((0..self.width).step_by(step).map(|x| {
+                let s = &column_sums[x..x + 5];
+                // At most 256 * 65280: fits; rounded to the nearest.
+                ((filter[0] * (s[0] + s[4]) + filter[1] * (s[1] + s[3]) + filter[2] * s[2] + 128) >> 8) as u16
+            }));
+        }
+        Level { width, height, values }
+    }
+
+    /// Whether a square patch of `count` samples a side can be interpolated.
+    ///
+    /// `centre` and `step` (the move in the level from one sample to the next in u and in v) are in pixels of the level.
+    pub(super) fn holds(&self, centre: [f64; 2], step: [[f32; 2]; 2], count: usize) -> bool {
+        let half = (count / 2) as f64;
+        let reach = |axis: usize| half * f64::from(step[axis][0].abs() + step[axis][1].abs()) + 1.0;
+        let inside = |axis: usize, size: usize| {
+            centre[axis] - reach(axis) >= 1.0 && centre[axis] + reach(axis) <= size as f64 - 3.0
+        };
+        inside(0, self.width) && inside(1, self.height)
+    }
+
+    /// Samples the patch into `into`, row by row, in grey values; the caller has asked [`Level::holds`].
+    pub(super) fn sample(&self, centre: [f64; 2], step: [[f32; 2]; 2], cubic: &Cubic, count: usize, into: &mut [f32]) {
+        let origin = centre.map(f64::floor);
+        // From here the rest is small, so that single precision is enough.
+        let fraction = [(centre[0] - origin[0]) as f32, (centre[1] - origin[1]) as f32];
+        let start = origin[1] as isize * self.width as isize + origin[0] as isize;
+        let half = (count / 2) as f32;
+        for (v, row) in into.chunks_exact_mut(count).enumerate() {
+            let v = v as f32 - half;
+            let (x0, y0) = (fraction[0] + step[0][1] * v, fraction[1] + step[1][1] * v);
+            for (u, value) in row.iter_mut().enumerate() {
+                let u = u as f32 - half;
+                let (x, y) = (x0 + step[0][0] * u, y0 + step[1][0] * u);
+                *value = self.interpolated(start, x, y, cubic);
+            }
+        }
+    }
+
+    /// The grey value at an offset from pixel number `start`, by the cubic.
+    #[inline(always)]
+    fn interpolated(&self, start: isize, x: f32, y: f32, cubic: &Cubic) -> f32 {
+        let (floor_x, floor_y) = (x.floor(), y.floor());
+        let (wx, wy) = (cubic.weights(x - floor_x), cubic.weights(y - floor_y));
+        let first = start + (floor_y as isize - 1) * self.width as isize + floor_x as isize - 1;
+        let mut sum = 0.0;
+        for (row, weight) in wy.into_iter().enumerate() {
+            let at = first as usize + row * self.width;
+            let v = &self.values[at..at + 4];
+            sum += weight
+                * (wx[0] * f32::from(v[0])
+                    + wx[1] * f32::from(v[1])
+                    + wx[2] * f32::from(v[2])
+                    + wx[3] * f32::from(v[3]));
+        }
+        sum * (1.0 / UNITS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ramp_is_reproduced_at_every_level_without_a_shift() {
+        let image = GrayImage::from_fn(200, 180, |x, y| image::Luma([(x / 2 + y / 2) as u8]));
+        let pyramid = Pyramid::new(&image);
+        assert_eq!(pyramid.levels.len(), 3);
+        for (number, level) in pyramid.levels.iter().enumerate() {
+            let scale = f64::from(1 << number);
+            let centre = [100.3 / scale, 90.7 / scale];
+            let step = [[0.9, 0.2], [-0.1, 1.1]];
+            // The border repeats and bends the ramp; stay away from it.
+            assert!(level.holds(centre, step, 5));
+            let mut patch = [0.0; 25];
+            level.sample(centre, step, &Cubic::smoothing(0.1), 5, &mut patch);
+            // Halves are rounded down in x and in y by a quarter on average.
+            let expected = (100.3 + 90.7) / 2.0 - 0.5;
+            assert!((f64::from(patch[12]) - expected).abs() < 0.3, "{} is not {expected}", patch[12]);
+        }
+    }
+
+    #[test]
+    fn any_size_is_prepared() {
+        for (width, height) in [(0, 0), (1, 1), (1, 50), (50, 1), (64, 64), (129, 65)] {
+            let pyramid = Pyramid::new(&GrayImage::from_pixel(width, height, image::Luma([255])));
+            assert!(pyramid.levels.iter().all(|level| level.values.iter().all(|&value| value == 255 * 256)));
+            let level = &pyramid.levels[0];
+            // What is declared to be inside is so at the very border.
+            for x in 0..width {
+                for y in 0..height {
+                    let centre = [f64::from(x), f64::from(y)];
+                    if level.holds(centre, [[1.0, 0.5], [0.5, 1.0]], 3) {
+                        let mut patch = [0.0; 9];
+                        level.sample(centre, [[1.0, 0.5], [0.5, 1.0]], &Cubic::smoothing(1.0), 3, &mut patch);
+                        assert!(patch.iter().all(|value| (value - 255.0).abs() < 1e-3));
+                    }
+                }
+            }
+        }
+    }
+}
