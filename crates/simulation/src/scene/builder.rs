@@ -68,22 +68,32 @@ impl CuboidCoats {
 pub(crate) struct Builder {
     pub model: Model,
     pub sheets: Vec<Sheet>,
-    /// Texel size at one metre from the nearest camera.
-    pub texel_at_1m: f64,
-    /// Where cameras are: texels grow with the distance to this ball about the axis of joint 1.
-    pub reach_m: f64,
+    texels: TexelRule,
+}
+
+/// How large texels are.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum TexelRule {
+    /// The same everywhere, metres.
+    Even(f64),
+    /// `texel_at_1m` at one metre from the ball of radius `reach_m` in which cameras move, in proportion elsewhere.
+    FromReach { texel_at_1m: f64, reach_m: f64 },
 }
 
 impl Builder {
-    pub fn new(texel_at_1m: f64, reach_m: f64) -> Self {
-        Builder { model: Model::default(), sheets: Vec::new(), texel_at_1m, reach_m }
+    pub fn new(texels: TexelRule) -> Self {
+        Builder { model: Model::default(), sheets: Vec::new(), texels }
     }
 
     fn texel_for(&self, points: &[Point3], normal: Option<Vector3<f64>>) -> f64 {
+        let (texel_at_1m, reach_m) = match self.texels {
+            TexelRule::Even(texel_m) => return texel_m,
+            TexelRule::FromReach { texel_at_1m, reach_m } => (texel_at_1m, reach_m),
+        };
         let middle = Point3::new(0.0, 0.0, 0.45);
         // What shows its back to every place that a camera can reach needs no detail.
-        if normal.is_some_and(|normal| normal.dot(&(middle - points[0])) < -(self.reach_m + 0.25)) {
-            return 5.0 * self.texel_at_1m;
+        if normal.is_some_and(|normal| normal.dot(&(middle - points[0])) < -(reach_m + 0.25)) {
+            return 5.0 * texel_at_1m;
         }
         // The nearest point of a large face is not a corner: sample it coarsely.
         let mut nearest = f64::INFINITY;
@@ -94,7 +104,7 @@ impl Builder {
                 nearest = nearest.min((point - middle).norm());
             }
         }
-        self.texel_at_1m * (nearest - self.reach_m).clamp(0.45, 2.5)
+        texel_at_1m * (nearest - reach_m).clamp(0.45, 2.5)
     }
 
     /// A flat sheet: `right` and `down` as seen from outside, metres.

@@ -15,7 +15,7 @@ pub use model::{Face, Model, Triangle};
 pub use raycast::{Hit, RayCaster};
 pub use texture::Texture;
 
-pub(crate) use builder::{Builder, CuboidCoats};
+pub(crate) use builder::{Builder, CuboidCoats, TexelRule};
 pub(crate) use coat::Coat;
 pub(crate) use light::light_on_moving;
 pub(crate) use texture::Footprint;
@@ -65,7 +65,7 @@ impl Scene {
                 need: "0.3 to 50 is needed (or a focal length of 27 to 4400 px)",
             });
         }
-        let mut builder = Builder::new(1e-3 * texel_mm, 0.5);
+        let mut builder = Builder::new(TexelRule::FromReach { texel_at_1m: 1e-3 * texel_mm, reach_m: 0.5 });
         cell::furnish(&mut builder, options.seed);
         let (model, sheets) = builder.finish(options.seed, 1000, true);
         let caster = RayCaster::new(&model);

@@ -1,0 +1,208 @@
+//! Postures all over the workspace that see the scene and overlap with their neighbours.
+//!
+//! A walk in joint space: steps of all joints, refused where the arm or the camera would touch something, where the
+//! camera sees too little or too near, or where too little of what it saw one posture before is still in view.
+
+use crate::dice::Dice;
+use crate::scene::RayCaster;
+use crate::{ArmBody, Scene, SimulationError};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use skclam_geometry::{Isometry3, Pixel, Point3};
+use skclam_rig::Rig;
+
+/// How postures are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DiverseOptions {
+    /// Other seeds give other postures.
+    pub seed: u64,
+    /// How many.
+    pub count: usize,
+    /// Standard deviation of a joint's step, degrees (a prismatic joint: as many millimetres).
+    pub step_deg: f64,
+    /// Least share of what a posture sees that its predecessor saw too.
+    pub least_overlap: f64,
+    /// Nothing may be nearer to the camera, metres.
+    pub clearance_m: f64,
+    /// Median distance of what is seen: least and most, metres.
+    pub view_distance_m: [f64; 2],
+    /// Largest share of the view on plain surfaces or on the arm itself.
+    pub most_plain: f64,
+}
+
+impl Default for DiverseOptions {
+    fn default() -> Self {
+        DiverseOptions {
+            seed: 5,
+            count: 73,
+            step_deg: 28.0,
+            least_overlap: 0.45,
+            clearance_m: 0.3,
+            view_distance_m: [0.6, 2.6],
+            most_plain: 0.35,
+        }
+    }
+}
+
+/// Rays of a view: columns and rows.
+const RAYS: (usize, usize) = (8, 5);
+/// The arm's links keep this distance from things, metres.
+const LINK_CLEARANCE_M: f64 = 0.07;
+const TRIES_PER_POSTURE: usize = 20_000;
+
+/// Points that a view sees, in base.
+struct View {
+    base_from_color: Isometry3,
+    points: Vec<Point3>,
+}
+
+/// Draws `count` postures, joint values in radians or metres, within the joints' limits (a revolute joint without
+/// limits: half a turn to each side).
+///
+/// # Errors
+/// No arm, options out of range, or no posture found in a bounded number of draws.
+pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> Result<Vec<Vec<f64>>, SimulationError> {
+    check(options)?;
+    let chain = rig.robot.as_ref().ok_or(SimulationError::NoRobot)?;
+    let body = ArmBody::new(rig, 0, 0.02)?;
+    let limits: Vec<[f64; 2]> = chain
+        .joints()
+        .iter()
+        .map(|joint| {
+            let [low, high] = joint.limits.unwrap_or([-std::f64::consts::PI, std::f64::consts::PI]);
+            // Half a turn to each side says every posture of a revolute joint.
+            [low.max(-std::f64::consts::PI), high.min(std::f64::consts::PI)]
+        })
+        .collect();
+    let mut dice = Dice::new(options.seed, 40);
+    let mut postures: Vec<Vec<f64>> = Vec::with_capacity(options.count);
+    let mut last: Option<View> = None;
+    let mut tries = 0;
+    while postures.len() < options.count {
+        if tries >= TRIES_PER_POSTURE * (postures.len() + 1) {
+            return Err(SimulationError::Postures { need: options.count, got: postures.len(), tries });
+        }
+        tries += 1;
+        let candidate: Vec<f64> = match postures.last() {
+            None => limits.iter().map(|[low, high]| dice.range(*low, *high)).collect(),
+            Some(from) => from
+                .iter()
+                .zip(&limits)
+                .map(|(value, [low, high])| {
+                    let step = value + options.step_deg.to_radians() * dice.normal();
+                    // Mirrored at the limits: a walk that is cut there would stick to them.
+                    let folded = if step > *high { 2.0 * high - step } else if step < *low { 2.0 * low - step } else { step };
+                    folded.clamp(*low, *high)
+                })
+                .collect(),
+        };
+        let Some(view) = acceptable(rig, scene, &body, &candidate, options)? else { continue };
+        if let Some(before) = &last {
+            let overlap = |seen: &View, from: &View| {
+                let color_from_base = from.base_from_color.inverse();
+                let camera = &rig.color;
+                let visible = seen.points.iter().filter(|point| {
+                    let in_camera = color_from_base * **point;
+                    let inside = camera.project(&in_camera).is_some_and(|pixel| camera.contains(&pixel));
+                    let eye = Point3::from(from.base_from_color.translation.vector);
+                    inside && !scene.caster().is_blocked(&eye, &(**point - eye), 0.98)
+                });
+                visible.count() as f64 / seen.points.len().max(1) as f64
+            };
+            if overlap(&view, before) < options.least_overlap || overlap(before, &view) < options.least_overlap {
+                continue;
+            }
+        }
+        postures.push(candidate);
+        last = Some(view);
+    }
+    Ok(postures)
+}
+
+fn check(options: &DiverseOptions) -> Result<(), SimulationError> {
+    let bad = |option, value: String, need| Err(SimulationError::Option { option, value, need });
+    if options.count > 100_000 {
+        return bad("count", options.count.to_string(), "at most 100,000 postures are possible");
+    }
+    if !(options.step_deg > 0.0 && options.step_deg <= 360.0) {
+        return bad("step_deg", options.step_deg.to_string(), "more than 0 and at most 360 degrees are needed");
+    }
+    for (option, value) in [("least_overlap", options.least_overlap), ("most_plain", options.most_plain)] {
+        if !(0.0..=1.0).contains(&value) {
+            return bad(option, value.to_string(), "0 to 1 is needed");
+        }
+    }
+    let [near, far] = options.view_distance_m;
+    if !(options.clearance_m >= 0.0 && near >= 0.0 && far > near) {
+        return bad("view_distance_m", format!("{near} to {far}"), "two rising distances and a clearance of at least 0 are needed");
+    }
+    Ok(())
+}
+
+/// The view of a posture that touches nothing and sees enough; `None` otherwise.
+fn acceptable(
+    rig: &Rig,
+    scene: &Scene,
+    body: &ArmBody,
+    joint_values: &[f64],
+    options: &DiverseOptions,
+) -> Result<Option<View>, SimulationError> {
+    let skeleton = body.skeleton(joint_values)?;
+    let Some(&flange) = skeleton.last() else { return Ok(None) };
+    let Some(chain) = rig.robot.as_ref() else { return Err(SimulationError::NoRobot) };
+    let base_from_color = chain.base_from_flange(joint_values)? * rig.flange_from_color;
+    let eye = Point3::from(base_from_color.translation.vector);
+    // Above the table, and the links clear of what stands on it; the first two points are the base itself.
+    let too_low = |point: &Point3| point.z < LINK_CLEARANCE_M && point.coords.xy().norm() > 0.02;
+    if skeleton.iter().skip(2).any(too_low) || eye.z < 0.12 {
+        return Ok(None);
+    }
+    let caster = scene.caster();
+    let mut path: Vec<(Point3, Point3)> = skeleton.windows(2).skip(1).map(|pair| (pair[0], pair[1])).collect();
+    path.push((flange, eye));
+    if path.iter().any(|(a, b)| (b - a).norm() > 1e-6 && caster.is_blocked(a, &(b - a), 1.0)) {
+        return Ok(None);
+    }
+    // Room around the camera and the flange in all directions of a cube's faces and corners.
+    for x in -1..=1i8 {
+        for y in -1..=1i8 {
+            for z in -1..=1i8 {
+                let way = Vector3::new(f64::from(x), f64::from(y), f64::from(z));
+                if way.norm() > 0.0 {
+                    let unit = way.normalize();
+                    if caster.is_blocked(&eye, &unit, 0.15) || caster.is_blocked(&flange, &unit, LINK_CLEARANCE_M) {
+                        return Ok(None);
+                    }
+                }
+            }
+        }
+    }
+    let own = RayCaster::new(&body.model_at(joint_values)?);
+    let camera = &rig.color;
+    let (mut points, mut distances, mut plain) = (Vec::new(), Vec::new(), 0usize);
+    for row in 0..RAYS.1 {
+        for column in 0..RAYS.0 {
+            let pixel = Pixel::new(
+                (column as f64 + 0.5) / RAYS.0 as f64 * f64::from(camera.width) - 0.5,
+                (row as f64 + 0.5) / RAYS.1 as f64 * f64::from(camera.height) - 0.5,
+            );
+            let way = base_from_color * camera.unproject(&pixel).normalize();
+            let Some(hit) = caster.first_hit(&eye, &way, 20.0) else { return Ok(None) };
+            if hit.distance < options.clearance_m {
+                return Ok(None);
+            }
+            let arm = own.first_hit(&(eye + 0.02 * way), &way, hit.distance).is_some();
+            if arm || scene.is_plain(hit.face) {
+                plain += 1;
+            }
+            points.push(eye + way * hit.distance);
+            distances.push(hit.distance);
+        }
+    }
+    distances.sort_by(f64::total_cmp);
+    let median = distances[distances.len() / 2];
+    let [near, far] = options.view_distance_m;
+    let seen = (near..=far).contains(&median) && plain as f64 <= options.most_plain * points.len() as f64;
+    Ok(seen.then_some(View { base_from_color, points }))
+}

@@ -1,0 +1,201 @@
+//! The whole experiment: from a nominal rig and a configuration to a true rig, postures and images, one at a time.
+
+use crate::{
+    Antialiasing, ArmBody, ColorNoiseOptions, DepthNoiseOptions, DiverseOptions, EncoderNoiseOptions, PaperView,
+    PerturbationSigmas, Renderer, Scene, SceneOptions, SimulationError, diverse_postures, paper_postures,
+    perturb_paper, perturb_random,
+};
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use skclam_geometry::{DepthImage, Isometry3};
+use skclam_rig::{Posture, PostureState, Rig};
+
+/// How the true arm differs from the nominal one.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "snake_case", tag = "kind")]
+pub enum Perturbation {
+    /// Not at all.
+    None,
+    /// As in the paper: +1 deg on alpha and theta offset of joints 2 to 6.
+    #[default]
+    Paper,
+    /// Normal errors on every parameter and on the mount.
+    Random {
+        /// Other seeds give other arms.
+        seed: u64,
+        /// How large the errors are.
+        #[serde(default)]
+        sigmas: PerturbationSigmas,
+    },
+}
+
+/// Which postures are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "snake_case", tag = "kind")]
+pub enum PosturePlan {
+    /// The 73 postures of section 4.1.1.
+    Paper {
+        /// The one flange pose, told by where the camera stands.
+        #[serde(default)]
+        view: PaperView,
+    },
+    /// Postures all over the arm's workspace, each overlapping with the one before.
+    Diverse {
+        /// How they are drawn.
+        #[serde(default)]
+        options: DiverseOptions,
+    },
+}
+
+impl Default for PosturePlan {
+    fn default() -> Self {
+        PosturePlan::Paper { view: PaperView::default() }
+    }
+}
+
+/// Everything about a simulated data set except the nominal rig. Default: the paper's experiment without image noise,
+/// with the noise of a depth camera.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimulationConfig {
+    /// The cell.
+    pub scene: SceneOptions,
+    /// The true arm.
+    pub perturbation: Perturbation,
+    /// The postures.
+    pub postures: PosturePlan,
+    /// How smooth edges are.
+    pub antialiasing: Antialiasing,
+    /// Noise of the colour image.
+    pub color_noise: ColorNoiseOptions,
+    /// Noise of the depth image.
+    pub depth_noise: DepthNoiseOptions,
+    /// Noise of the joints.
+    pub encoder_noise: EncoderNoiseOptions,
+    /// Only the first so many postures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_postures: Option<usize>,
+}
+
+/// What one posture gave.
+#[derive(Debug, Clone)]
+pub struct Capture {
+    /// The posture as a controller would write it down: commanded joints.
+    pub posture: Posture,
+    /// Where the joints really were, radians or metres.
+    pub true_joint_values: Vec<f64>,
+    /// Where the colour camera really was.
+    pub true_base_from_color: Isometry3,
+    /// Colour image.
+    pub color: RgbImage,
+    /// Depth in whole units of the depth camera, where the rig has one; see [`depth_counts`](crate::depth_counts).
+    pub depth: Option<DepthImage>,
+}
+
+/// A prepared simulation: everything but the images, which are drawn on demand.
+#[derive(Debug)]
+pub struct Simulation {
+    config: SimulationConfig,
+    nominal: Rig,
+    truth: Rig,
+    scene: Scene,
+    body: ArmBody,
+    postures: Vec<Posture>,
+    color: Renderer,
+    depth: Option<Renderer>,
+}
+
+impl Simulation {
+    /// Draws scene, true arm and postures. Errors: no arm, options out of range, postures that cannot be had.
+    pub fn new(nominal: &Rig, config: &SimulationConfig) -> Result<Self, SimulationError> {
+        config.color_noise.check()?;
+        config.depth_noise.check()?;
+        config.encoder_noise.check()?;
+        let chain = nominal.robot.as_ref().ok_or(SimulationError::NoRobot)?;
+        let truth = match &config.perturbation {
+            Perturbation::None => nominal.clone(),
+            Perturbation::Paper => perturb_paper(nominal)?,
+            Perturbation::Random { seed, sigmas } => perturb_random(nominal, *seed, sigmas)?,
+        };
+        let color = Renderer::new(&nominal.color, config.antialiasing)?;
+        let depth = nominal.depth.as_ref().map(|d| Renderer::new(&d.camera, Antialiasing::None)).transpose()?;
+        let scene = Scene::new(&config.scene, nominal.color.fx)?;
+        let body = ArmBody::new(&truth, config.scene.seed, 1e-3 * (1371.0 / nominal.color.fx).clamp(0.5, 8.0))?;
+        let mut joint_values = match &config.postures {
+            PosturePlan::Paper { view } => paper_postures(chain, &view.base_from_flange(nominal))?,
+            PosturePlan::Diverse { options } => diverse_postures(nominal, &scene, options)?,
+        };
+        if let Some(count) = config.first_postures {
+            joint_values.truncate(count);
+        }
+        let postures = joint_values
+            .into_iter()
+            .zip(0u64..)
+            .map(|(values, index)| Posture { index, timestamp_s: None, state: PostureState::Joints(values) })
+            .collect();
+        Ok(Simulation { config: config.clone(), nominal: nominal.clone(), truth, scene, body, postures, color, depth })
+    }
+
+    /// The true rig: arm, mount and cameras as they are.
+    pub fn true_rig(&self) -> &Rig {
+        &self.truth
+    }
+
+    /// The nominal rig that came in.
+    pub fn nominal_rig(&self) -> &Rig {
+        &self.nominal
+    }
+
+    /// The static scene, the ground truth of a map.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The arm's body with true parameters.
+    pub fn arm_body(&self) -> &ArmBody {
+        &self.body
+    }
+
+    /// The postures as commanded.
+    pub fn postures(&self) -> &[Posture] {
+        &self.postures
+    }
+
+    /// What the configuration was.
+    pub fn config(&self) -> &SimulationConfig {
+        &self.config
+    }
+
+    /// Takes the images of one posture (counted from 0). The true arm stands where its joints, noise included, and
+    /// its true parameters put it. Errors: no such posture.
+    pub fn capture(&self, number: usize) -> Result<Capture, SimulationError> {
+        let posture = self.postures.get(number).ok_or_else(|| SimulationError::Option {
+            option: "posture",
+            value: number.to_string(),
+            need: "a number below the number of postures is needed",
+        })?;
+        let (PostureState::Joints(commanded), Some(chain)) = (&posture.state, self.truth.robot.as_ref()) else {
+            return Err(SimulationError::NoRobot);
+        };
+        let index = posture.index;
+        let true_joint_values = self.config.encoder_noise.apply(chain, commanded, index)?;
+        let true_base_from_color = chain.base_from_flange(&true_joint_values)? * self.truth.flange_from_color;
+        let body = self.body.model_at(&true_joint_values)?;
+        let models = [&self.scene.model, &body];
+        let mut color = self.color.color(&true_base_from_color, &models);
+        self.config.color_noise.apply(&mut color, index)?;
+        let depth = match (&self.depth, &self.truth.depth) {
+            (Some(renderer), Some(camera)) => {
+                let exact = renderer.depth(&(true_base_from_color * camera.color_from_depth), &models);
+                Some(self.config.depth_noise.apply(&exact, camera.unit_m, index)?)
+            }
+            _ => None,
+        };
+        Ok(Capture { posture: posture.clone(), true_joint_values, true_base_from_color, color, depth })
+    }
+
+    /// All captures in order, each drawn when it is asked for.
+    pub fn captures(&self) -> impl Iterator<Item = Result<Capture, SimulationError>> + '_ {
+        (0..self.postures.len()).map(|number| self.capture(number))
+    }
+}
