@@ -1,5 +1,6 @@
 # Habits. `just` lists them. Cargo alone does as well; each recipe is one or two plain commands.
 
+[private]
 default:
     @just --list
 
@@ -23,6 +24,10 @@ docs *ARGS:
 # The paper's tables from the virtual cell; `just reproduce --quick` for the short version.
 reproduce *ARGS:
     cargo run --release --bin skclam -- reproduce --out out/reproduce {{ ARGS }}
+
+# A benchmark under benchmarks/, by path: `just bench features/akaze_vs_opencv speed`. Each says in its head what it needs.
+bench NAME *ARGS:
+    python3 benchmarks/{{ NAME }}.py {{ ARGS }}
 
 # Everything that must hold before a change lands.
 ci:
