@@ -61,6 +61,12 @@ pub enum KinematicsError {
         /// What is wrong and what was expected.
         problem: String,
     },
+    /// A chain or a transform has no place in a file format.
+    #[error("cannot be exported: {problem}")]
+    Export {
+        /// What the format lacks or needs.
+        problem: String,
+    },
     /// An option that has to be positive and finite is not.
     #[error("{option} is {value}; a positive finite number is needed")]
     Option {

@@ -6,6 +6,7 @@
 mod arms;
 mod chain;
 mod error;
+mod exports;
 mod from_axes;
 mod jacobian;
 mod link;
@@ -16,6 +17,7 @@ mod urdf;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
+pub use exports::{corrections_csv, kinematics_yaml, static_transform_line};
 pub use from_axes::JointAxis;
 pub use jacobian::ChainJacobian;
 pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};

@@ -7,6 +7,7 @@
 mod document;
 mod write;
 
+pub(crate) use write::{UNCHANGED, roll_pitch_yaw, rounded};
 pub use write::{line_diff, write_urdf};
 
 use crate::{Isometry3, JointAxis, KinematicsError, SerialChain};

@@ -4,7 +4,7 @@
 //! as URDF has them. Forward kinematics by URDF's definition must be those of the rig file, at zero and elsewhere.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use skclam_kinematics::{JointKind, LinkForm, SerialChain, spherical_wrist_solutions};
+use skclam_kinematics::{JointKind, LinkForm, SerialChain, chain_from_urdf, spherical_wrist_solutions, write_urdf};
 use skclam_rig::Rig;
 use std::path::Path;
 
@@ -194,6 +194,24 @@ fn origin(xyz: &[f64; 3], rpy: &[f64; 3]) -> Isometry3<f64> {
 }
 
 impl Published {
+    fn urdf(&self) -> String {
+        let mut text = String::from("<robot name=\"arm\">\n  <link name=\"l0\"/>\n");
+        let mut add = |index: usize, kind: &str, xyz: &[f64; 3], rpy: &[f64; 3], axis: &[f64; 3]| {
+            let (next, xyz, rpy) = (index + 1, xyz.map(|x| x * 1e-3), rpy.map(f64::to_radians));
+            text += &format!(
+                "  <link name=\"l{next}\"/>\n  <joint name=\"j{next}\" type=\"{kind}\">\n    \
+                 <origin xyz=\"{} {} {}\" rpy=\"{} {} {}\"/>\n    <parent link=\"l{index}\"/>\n    \
+                 <child link=\"l{next}\"/>\n    <axis xyz=\"{} {} {}\"/>\n  </joint>\n",
+                xyz[0], xyz[1], xyz[2], rpy[0], rpy[1], rpy[2], axis[0], axis[1], axis[2]
+            );
+        };
+        for (index, (xyz, rpy, axis)) in self.joints.iter().enumerate() {
+            add(index, "continuous", xyz, rpy, axis);
+        }
+        add(self.joints.len(), "fixed", &self.tool.0, &self.tool.1, &Z);
+        text + "</robot>\n"
+    }
+
     fn base_from_tool(&self, joint_values: &[f64]) -> Isometry3<f64> {
         let arm = self.joints.iter().zip(joint_values).fold(Isometry3::identity(), |pose, ((xyz, rpy, axis), q)| {
             pose * origin(xyz, rpy) * Isometry3::rotation(Vector3::from(*axis) * *q)
@@ -216,6 +234,33 @@ fn every_arm_is_the_published_one() {
                 (0..chain.joint_count()).map(|joint| f64::from(step) * (0.31 + 0.17 * joint as f64)).collect();
             let off = difference(&chain.base_from_flange(&values).unwrap(), &published.base_from_tool(&values));
             assert!(off < 1e-9, "{} at {values:?}: {off:.2e}", published.file);
+        }
+    }
+}
+
+/// In, out, in again: the published arm as a URDF, the rig file's chain with every parameter moved as the calibrated one.
+#[test]
+fn every_arm_goes_through_urdf_and_back() {
+    for published in PUBLISHED {
+        let (text, tip) = (published.urdf(), format!("l{}", published.joints.len() + 1));
+        let read = chain_from_urdf(&text, "l0", &tip).unwrap();
+        let table = arm(published.file);
+        for nominal in [&read, &table] {
+            let mut calibrated = nominal.clone();
+            for (index, id) in nominal.parameter_ids().into_iter().enumerate() {
+                let size = if id.kind.is_angle() { 0.02 } else { 0.002 };
+                let change = size * ((index * 7 % 11) as f64 / 5.0 - 1.0);
+                calibrated.set_parameter(id, nominal.parameter(id).unwrap() + change).unwrap();
+            }
+            let written = write_urdf(&text, "l0", &tip, nominal, &calibrated).unwrap();
+            let again = chain_from_urdf(&written, "l0", &tip).unwrap();
+            for step in 0..20 {
+                let values: Vec<f64> =
+                    (0..nominal.joint_count()).map(|joint| f64::from(step) * (0.31 + 0.17 * joint as f64)).collect();
+                let [a, b, c] = [&again, &calibrated, &read].map(|chain| chain.base_from_flange(&values).unwrap());
+                assert!(difference(&a, &b) < 1e-9, "{} {:.2e}", published.file, difference(&a, &b));
+                assert!(difference(&c, &published.base_from_tool(&values)) < 1e-9, "{}", published.file);
+            }
         }
     }
 }

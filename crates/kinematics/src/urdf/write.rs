@@ -130,7 +130,7 @@ fn check_result(text: &str, base: &str, tip: &str, calibrated: &SerialChain) -> 
 }
 
 /// A part of an origin that differs by no more than this (metres, radians) keeps its text.
-const UNCHANGED: f64 = 1e-13;
+pub(crate) const UNCHANGED: f64 = 1e-13;
 
 /// Replacements in a text, by place.
 #[derive(Default)]
@@ -187,12 +187,12 @@ impl Edits {
 }
 
 /// Fourteen decimals: far below what forward kinematics show, and no tails of binary fractions. Never minus zero.
-fn rounded(value: f64) -> f64 {
+pub(crate) fn rounded(value: f64) -> f64 {
     (value * 1e14).round() / 1e14 + 0.0
 }
 
 /// `R = Rz(yaw) Ry(pitch) Rx(roll)`, precise at a pitch of 90 deg too: roll is read with yaw undone.
-fn roll_pitch_yaw(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+pub(crate) fn roll_pitch_yaw(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let matrix = rotation.to_rotation_matrix();
     let across = matrix[(0, 0)].hypot(matrix[(1, 0)]);
     let yaw = if across > 1e-12 { matrix[(1, 0)].atan2(matrix[(0, 0)]) } else { 0.0 };
