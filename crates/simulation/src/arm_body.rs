@@ -43,13 +43,19 @@ impl ArmBody {
                 let frame = 4 * index + motion_index;
                 let colour = if index % 2 == 0 { BLUE } else { WHITE };
                 let along = match motion {
-                    ElementaryMotion::TranslateX(length) if length.abs() > SHORTEST_M => Some(Point3::new(length, 0.0, 0.0)),
-                    ElementaryMotion::TranslateZ(length) if length.abs() > SHORTEST_M => Some(Point3::new(0.0, 0.0, length)),
+                    ElementaryMotion::TranslateX(length) if length.abs() > SHORTEST_M => {
+                        Some(Point3::new(length, 0.0, 0.0))
+                    }
+                    ElementaryMotion::TranslateZ(length) if length.abs() > SHORTEST_M => {
+                        Some(Point3::new(0.0, 0.0, length))
+                    }
                     _ => None,
                 };
                 if let Some(end) = along {
                     let caps = [Some(Coat::Plain(DARK)); 2];
-                    piece(frame, &mut builder, &|b| b.cylinder(Point3::origin(), end, 0.8 * radius, Coat::Lacquer(colour), caps));
+                    piece(frame, &mut builder, &|b| {
+                        b.cylinder(Point3::origin(), end, 0.8 * radius, Coat::Lacquer(colour), caps)
+                    });
                 }
                 if matches!(motion, ElementaryMotion::RotateZ(_)) && joint.kind == JointKind::Revolute {
                     let half = 1.15 * radius;

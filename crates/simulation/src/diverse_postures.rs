@@ -92,7 +92,13 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
                 .map(|(value, [low, high])| {
                     let step = value + options.step_deg.to_radians() * dice.normal();
                     // Mirrored at the limits: a walk that is cut there would stick to them.
-                    let folded = if step > *high { 2.0 * high - step } else if step < *low { 2.0 * low - step } else { step };
+                    let folded = if step > *high {
+                        2.0 * high - step
+                    } else if step < *low {
+                        2.0 * low - step
+                    } else {
+                        step
+                    };
                     folded.clamp(*low, *high)
                 })
                 .collect(),
@@ -135,7 +141,11 @@ fn check(options: &DiverseOptions) -> Result<(), SimulationError> {
     }
     let [near, far] = options.view_distance_m;
     if !(options.clearance_m >= 0.0 && near >= 0.0 && far > near) {
-        return bad("view_distance_m", format!("{near} to {far}"), "two rising distances and a clearance of at least 0 are needed");
+        return bad(
+            "view_distance_m",
+            format!("{near} to {far}"),
+            "two rising distances and a clearance of at least 0 are needed",
+        );
     }
     Ok(())
 }

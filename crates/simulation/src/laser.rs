@@ -118,8 +118,12 @@ pub fn laser_experiment(
         for (which, chain) in [nominal, calibrated].into_iter().enumerate() {
             let mut readings = Vec::with_capacity(starts.len());
             for start in &starts {
-                let found =
-                    refine_inverse_kinematics(chain, &base_from_flange, &start.joint_values, &RefinementOptions::default())?;
+                let found = refine_inverse_kinematics(
+                    chain,
+                    &base_from_flange,
+                    &start.joint_values,
+                    &RefinementOptions::default(),
+                )?;
                 if found.termination == Termination::Converged {
                     let flange = truth.base_from_flange(&found.joint_values)?.translation.vector;
                     readings.push(flange.map(|metres| reading_mm(1e3 * metres, options.resolution_mm)));

@@ -254,7 +254,8 @@ impl DepthNoiseOptions {
         (-1i64..=1).any(|dy| {
             (-1i64..=1).any(|dx| {
                 let (nx, ny) = (i64::from(x) + dx, i64::from(y) + dy);
-                let neighbour = u32::try_from(nx).ok().zip(u32::try_from(ny).ok()).and_then(|(nx, ny)| exact.at(nx, ny));
+                let neighbour =
+                    u32::try_from(nx).ok().zip(u32::try_from(ny).ok()).and_then(|(nx, ny)| exact.at(nx, ny));
                 neighbour.is_some_and(|neighbour| (neighbour - z).abs() > limit)
             })
         })
@@ -362,8 +363,7 @@ mod tests {
         let mut noisy = grey.clone();
         let options = ColorNoiseOptions { sensor_sigma: 3.0, ..Default::default() };
         options.apply(&mut noisy, 0).unwrap();
-        let variance =
-            noisy.iter().map(|&v| (f64::from(v) - 128.0).powi(2)).sum::<f64>() / noisy.as_raw().len() as f64;
+        let variance = noisy.iter().map(|&v| (f64::from(v) - 128.0).powi(2)).sum::<f64>() / noisy.as_raw().len() as f64;
         assert!((variance.sqrt() - 3.0).abs() < 0.05, "{}", variance.sqrt());
         let mut other = grey.clone();
         options.apply(&mut other, 1).unwrap();

@@ -33,8 +33,10 @@ pub struct PaperView {
 }
 
 impl Default for PaperView {
+    /// Of some 4,000 views of the HP3J that an ignored test of this crate draws, one of the best: with the paper's 30
+    /// matches a pair and 0.5 px, no angle's Cramer-Rao bound exceeds 0.01 deg; no link comes near the table.
     fn default() -> Self {
-        PaperView { radius_mm: 380.0, height_mm: 480.0, yaw_deg: 20.0, pitch_deg: 15.0, roll_deg: 20.0 }
+        PaperView { radius_mm: 210.0, height_mm: 615.0, yaw_deg: -62.0, pitch_deg: 16.0, roll_deg: 0.0 }
     }
 }
 
@@ -43,7 +45,8 @@ impl PaperView {
     pub fn base_from_color(&self) -> Isometry3 {
         // Camera axes (right, down, forward) when it looks along the base's x axis.
         let level = Rotation3::from_basis_unchecked(&[-Vector3::y(), -Vector3::z(), Vector3::x()]);
-        let turn = |axis: &nalgebra::Unit<Vector3<f64>>, deg: f64| UnitQuaternion::from_axis_angle(axis, deg.to_radians());
+        let turn =
+            |axis: &nalgebra::Unit<Vector3<f64>>, deg: f64| UnitQuaternion::from_axis_angle(axis, deg.to_radians());
         let rotation = turn(&Vector3::z_axis(), self.yaw_deg)
             * turn(&Vector3::y_axis(), self.pitch_deg)
             * UnitQuaternion::from_rotation_matrix(&level)

@@ -75,10 +75,8 @@ pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> 
     let turn = UnitQuaternion::from_scaled_axis(draw(sigmas.mount_rotation_deg.to_radians()));
     let shift = draw(1e-3 * sigmas.mount_translation_mm);
     let mount = &mut truth.flange_from_color;
-    *mount = nalgebra::Isometry3::from_parts(
-        Translation3::from(mount.translation.vector + shift),
-        mount.rotation * turn,
-    );
+    *mount =
+        nalgebra::Isometry3::from_parts(Translation3::from(mount.translation.vector + shift), mount.rotation * turn);
     truth.name = format!("{} (true arm drawn from seed {seed})", nominal.name);
     Ok(truth)
 }

@@ -42,7 +42,8 @@ fn bound(rig: &Rig, view: &PaperView) -> Option<Bound> {
         chain
     };
     let chains: Vec<(SerialChain, SerialChain)> = (0..10).map(|i| (moved(i, step), moved(i, -step))).collect();
-    let camera_pose = |chain: &SerialChain, joints: &[f64]| chain.base_from_flange(joints).unwrap() * rig.flange_from_color;
+    let camera_pose =
+        |chain: &SerialChain, joints: &[f64]| chain.base_from_flange(joints).unwrap() * rig.flange_from_color;
     let sampson = |chain: &SerialChain, a: &[f64], b: &[f64], pixels: &[(Pixel, Pixel)]| -> Vec<f64> {
         let a_from_b = camera_pose(chain, a).inverse() * camera_pose(chain, b);
         let fundamental = FundamentalMatrix::from_pose(&rig.color, &rig.color, &a_from_b);
@@ -70,7 +71,8 @@ fn bound(rig: &Rig, view: &PaperView) -> Option<Bound> {
         let columns: Vec<DVector<f64>> = chains
             .iter()
             .map(|(upper, lower)| {
-                let (plus, minus) = (sampson(upper, &pair[0], &pair[1], &pixels), sampson(lower, &pair[0], &pair[1], &pixels));
+                let (plus, minus) =
+                    (sampson(upper, &pair[0], &pair[1], &pixels), sampson(lower, &pair[0], &pair[1], &pixels));
                 (DVector::from_vec(plus) - DVector::from_vec(minus)) / (2.0 * step)
             })
             .collect();
