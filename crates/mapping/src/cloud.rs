@@ -1,6 +1,8 @@
 //! The kinds of map that are made of points: clouds and triangle meshes, in the base frame.
 
 use crate::Error;
+use nalgebra::Vector3;
+use skclam_geometry::{Isometry3, Point3};
 
 /// Points with optional colours and normals. The optional lists are empty or as long as `points`.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -103,6 +105,21 @@ impl Model {
         }
     }
 
+    /// The same map in another frame: points and normals are taken along.
+    pub fn transformed(mut self, a_from_b: &Isometry3) -> Self {
+        let cloud = match &mut self {
+            Model::Cloud(cloud) => cloud,
+            Model::Mesh(mesh) => &mut mesh.vertices,
+        };
+        for point in &mut cloud.points {
+            *point = (a_from_b * Point3::from(point.map(f64::from))).coords.cast::<f32>().into();
+        }
+        for normal in &mut cloud.normals {
+            *normal = (a_from_b.rotation * Vector3::from(normal.map(f64::from))).cast::<f32>().into();
+        }
+        self
+    }
+
     /// Checks whichever it is.
     pub fn check(&self) -> Result<(), Error> {
         match self {
@@ -133,6 +150,17 @@ mod tests {
         let cloud = PointCloud { points: vec![[1.0, 2.0, 3.0], [-1.0, 5.0, 0.0]], ..Default::default() };
         assert_eq!(cloud.bounds(), Some(([-1.0, 2.0, 0.0], [1.0, 5.0, 3.0])));
         assert_eq!(PointCloud::default().bounds(), None);
+    }
+
+    #[test]
+    fn a_map_moves_with_its_frame() {
+        let cloud = PointCloud { points: vec![[1.0, 0.0, 0.0]], normals: vec![[1.0, 0.0, 0.0]], ..Default::default() };
+        let quarter = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2);
+        let motion = Isometry3::from_parts(nalgebra::Translation3::new(0.0, 0.0, 2.0), quarter);
+        let moved = Model::Cloud(cloud).transformed(&motion);
+        let near = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        assert!(near(moved.points().points[0], [0.0, 1.0, 2.0]));
+        assert!(near(moved.points().normals[0], [0.0, 1.0, 0.0]));
     }
 
     #[test]

@@ -6,14 +6,17 @@
 //!
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
 //! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
+//! - [`surface_gaps`] and [`score_surface`] say how good a map is;
 //! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files.
 
 mod cloud;
 mod cloud_builder;
 mod error;
+mod nearest;
 mod normals;
 mod ply;
+mod quality;
 mod render;
 mod surface;
 mod tsdf;
@@ -23,7 +26,12 @@ mod voxel;
 pub use cloud::{Model, PointCloud, TriangleMesh};
 pub use cloud_builder::{CloudBuilder, CloudOptions, PointNormals, UncoloredPoints};
 pub use error::Error;
+pub use nearest::SurfaceIndex;
 pub use ply::{read_ply, write_ply};
+pub use quality::{
+    DistanceSummary, GapOptions, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
+    score_surface, surface_gaps,
+};
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
 pub use surface::{SurfaceOptions, remove_small_clusters, vertex_normals};
 pub use tsdf::{Integration, SpaceCarving, Tsdf, TsdfOptions};

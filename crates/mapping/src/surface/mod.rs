@@ -93,11 +93,15 @@ mod tests {
         let mesh = fused_ball(None).surface(&SurfaceOptions::default()).unwrap();
         mesh.check().unwrap();
         assert!(mesh.vertices.colors.is_empty());
+        let mut errors_m = 0.0;
         for (point, normal) in mesh.vertices.points.iter().zip(&mesh.vertices.normals) {
             let (point, normal) = (Vector3::from(*point).cast::<f64>(), Vector3::from(*normal).cast::<f64>());
-            assert!((point.norm() - RADIUS).abs() < 0.002, "{}", point.norm());
+            // Voxels of 10 mm on a curvature of 5/m; where all cameras graze it, it is worst.
+            assert!((point.norm() - RADIUS).abs() < 0.004, "{}", point.norm());
             assert!(normal.dot(&point.normalize()) > 0.95);
+            errors_m += (point.norm() - RADIUS).abs();
         }
+        assert!(errors_m / (mesh.vertices.len() as f64) < 0.0006, "{}", errors_m / mesh.vertices.len() as f64);
         let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
         for [a, b, c] in &mesh.triangles {
             for (from, to) in [(a, b), (b, c), (c, a)] {

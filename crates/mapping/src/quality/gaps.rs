@@ -1,0 +1,204 @@
+//! How far apart the surfaces of overlapping depth images are, for given poses. Needs no truth.
+//!
+//! Points of one image are projected into the other; where they fall onto a surface there, their distance to the plane
+//! through that pixel's surroundings counts. What is farther away than the gate is another surface (or hides behind
+//! one) and does not count. Every pair is measured both ways.
+
+use super::quantile;
+use crate::normals::{NormalWindow, normals_in_depth};
+use crate::view::Rays;
+use crate::{DepthFilter, Error, View};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use skclam_geometry::Point3;
+
+/// How pairs of depth images are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GapOptions {
+    /// Which depth pixels are believed.
+    pub filter: DepthFilter,
+    /// Farther apart than this along the depth axis, metres, are two different surfaces.
+    pub gate_m: f64,
+    /// Every how many pixels along each axis a point is taken.
+    pub stride: usize,
+    /// Pairs with fewer points in common do not overlap.
+    pub min_points: usize,
+}
+
+impl Default for GapOptions {
+    fn default() -> Self {
+        GapOptions { filter: DepthFilter::default(), gate_m: 0.1, stride: 6, min_points: 200 }
+    }
+}
+
+/// How far apart two views' surfaces are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PairGap {
+    /// Index of the first view.
+    pub first: usize,
+    /// Index of the second view.
+    pub second: usize,
+    /// Points that were compared, both ways together.
+    pub points: usize,
+    /// Median distance, metres.
+    pub median_m: f64,
+    /// 90th percentile, metres.
+    pub p90_m: f64,
+}
+
+/// All pairs that overlap.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceGaps {
+    /// By first, then second view.
+    pub pairs: Vec<PairGap>,
+    /// Median of all distances of all pairs, metres; none without pairs.
+    pub median_m: Option<f64>,
+    /// 90th percentile of all distances of all pairs, metres; none without pairs.
+    pub p90_m: Option<f64>,
+}
+
+/// Compares all pairs of views. Memory: a few bytes a strided pixel of a view and of a pair.
+pub fn surface_gaps(views: &[View<'_>], options: &GapOptions) -> Result<SurfaceGaps, Error> {
+    options.filter.check()?;
+    if !(options.gate_m.is_finite() && options.gate_m > 0.0) {
+        let value = options.gate_m.to_string();
+        return Err(Error::Option { option: "gate_m", value, need: "a positive length is needed" });
+    }
+    if options.stride == 0 {
+        return Err(Error::Option { option: "stride", value: "0".into(), need: "at least 1 is needed" });
+    }
+    views.iter().try_for_each(View::check)?;
+    let mut rays: Option<Rays> = None;
+    let mut samples = Vec::with_capacity(views.len());
+    for view in views {
+        let rays = rays_of(&mut rays, view);
+        samples.push(points_in_base(view, rays, options));
+    }
+    // Distances by pair; the pair (i, j) with i < j stands at i * n + j.
+    let mut distances: Vec<Vec<f32>> = vec![Vec::new(); views.len() * views.len()];
+    for (target, view) in views.iter().enumerate() {
+        let surface = Target::new(view, rays_of(&mut rays, view), options);
+        let found: Vec<Vec<f32>> = samples
+            .par_iter()
+            .enumerate()
+            .map(|(source, points)| if source == target { Vec::new() } else { surface.distances(points) })
+            .collect();
+        for (source, list) in found.into_iter().enumerate() {
+            distances[source.min(target) * views.len() + source.max(target)].extend(list);
+        }
+    }
+    let mut pairs = Vec::new();
+    let mut all = Vec::new();
+    for (place, list) in distances.iter_mut().enumerate() {
+        if list.len() < options.min_points.max(1) {
+            continue;
+        }
+        let (first, second) = (place / views.len(), place % views.len());
+        let (Some(median_m), Some(p90_m)) = (quantile(list, 0.5), quantile(list, 0.9)) else { continue };
+        pairs.push(PairGap { first, second, points: list.len(), median_m, p90_m });
+        all.extend_from_slice(list);
+    }
+    Ok(SurfaceGaps { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9) })
+}
+
+fn rays_of<'a>(kept: &'a mut Option<Rays>, view: &View<'_>) -> &'a Rays {
+    let camera = &view.depth_camera.camera;
+    if !kept.as_ref().is_some_and(|rays| rays.are_of(camera)) {
+        *kept = None;
+    }
+    kept.get_or_insert_with(|| Rays::new(camera))
+}
+
+fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<Point3> {
+    let depth = view.believed_depth(&options.filter);
+    let width = rays.width();
+    let base_from_depth = view.base_from_depth();
+    (0..depth.len() / width.max(1))
+        .step_by(options.stride)
+        .flat_map(|y| (0..width).step_by(options.stride).map(move |x| y * width + x))
+        .filter(|&index| depth[index] > 0.0)
+        .map(|index| base_from_depth * rays.point(index, depth[index]))
+        .collect()
+}
+
+/// A view that points are projected into.
+struct Target<'a> {
+    view: &'a View<'a>,
+    depth: Vec<f32>,
+    normals: Vec<Vector3<f32>>,
+    rays: &'a Rays,
+    gate_m: f64,
+}
+
+impl<'a> Target<'a> {
+    fn new(view: &'a View<'a>, rays: &'a Rays, options: &GapOptions) -> Self {
+        let depth = view.believed_depth(&options.filter);
+        let window = NormalWindow { radius: 4, stride: 2 };
+        let normals = normals_in_depth(&depth, rays, &options.filter, window);
+        Target { view, depth, normals, rays, gate_m: options.gate_m }
+    }
+
+    fn distances(&self, points_in_base: &[Point3]) -> Vec<f32> {
+        let camera = &self.view.depth_camera.camera;
+        let depth_from_base = self.view.base_from_depth().inverse();
+        points_in_base
+            .iter()
+            .filter_map(|point| {
+                let point = depth_from_base * point;
+                let pixel = camera.project(&point)?;
+                let (x, y) = (pixel.x.round(), pixel.y.round());
+                if !(x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height)) {
+                    return None;
+                }
+                let index = y as usize * camera.width as usize + x as usize;
+                let depth = self.depth[index];
+                let normal = self.normals[index].cast::<f64>();
+                if depth <= 0.0 || normal.norm_squared() == 0.0 || (f64::from(depth) - point.z).abs() > self.gate_m {
+                    return None;
+                }
+                let on_surface = self.rays.point(index, depth);
+                Some(normal.dot(&(point - on_surface)).abs() as f32)
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tsdf::tests::wall;
+    use crate::view::tests::{plain_camera, view};
+    use skclam_geometry::Isometry3;
+
+    #[test]
+    fn a_wall_seen_twice_is_as_far_apart_as_the_pose_is_wrong() {
+        let camera = plain_camera(120, 90);
+        let depth = wall(120, 90, 1.0);
+        let first = view(&depth, &camera);
+        // It moved 5 cm sideways, and says it came 7 mm nearer, which it did not.
+        let second = View { base_from_color: Isometry3::translation(0.05, 0.0, 0.007), ..first };
+        let away = View { base_from_color: Isometry3::translation(50.0, 0.0, 0.0), ..first };
+        let gaps = surface_gaps(&[first, second, away], &GapOptions::default()).unwrap();
+        assert_eq!(gaps.pairs.len(), 1, "the third one sees another wall");
+        let pair = gaps.pairs[0];
+        assert_eq!((pair.first, pair.second), (0, 1));
+        assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
+        assert_eq!(gaps.median_m, Some(pair.median_m));
+    }
+
+    #[test]
+    fn without_overlap_there_is_no_figure_and_bad_options_are_errors() {
+        let camera = plain_camera(24, 18);
+        let holes = wall(24, 18, 0.0);
+        let views = [view(&holes, &camera); 2];
+        let gaps = surface_gaps(&views, &GapOptions::default()).unwrap();
+        assert_eq!((gaps.pairs.len(), gaps.median_m), (0, None));
+        assert!(surface_gaps(&views, &GapOptions { stride: 0, ..Default::default() }).is_err());
+        assert!(surface_gaps(&views, &GapOptions { gate_m: f64::NAN, ..Default::default() }).is_err());
+        let mut bad = views;
+        bad[1].base_from_color.translation.x = f64::NAN;
+        assert!(surface_gaps(&bad, &GapOptions::default()).is_err());
+    }
+}
