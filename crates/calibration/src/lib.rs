@@ -9,15 +9,19 @@ mod error;
 mod error_function;
 mod free;
 mod identifiability;
+mod levenberg_marquardt;
 mod model;
 mod motion;
 mod nelder_mead;
 mod outcome;
+mod pairwise;
+mod pairwise_system;
 mod parameter;
 mod prior;
 mod robust;
 mod sampson;
 mod termination;
+mod uncertainty;
 mod warning;
 
 pub use correspondences::{
@@ -30,6 +34,7 @@ pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDi
 pub use model::{DepthCorrection, JointCorrection, Model};
 pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
 pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};
+pub use pairwise::{PairwiseOptions, calibrate_pairwise, calibrate_pairwise_from};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
 pub use prior::{PriorPolicy, default_sigma, stated_sigma};
 pub use robust::Loss;

@@ -25,6 +25,11 @@ impl Sight {
         Some(Sight { direction, by_pixel })
     }
 
+    /// What says nothing: every distance to it is 0.
+    pub(crate) fn blind() -> Self {
+        Sight { direction: Vector3::zeros(), by_pixel: Matrix2::zeros() }
+    }
+
     /// d(x/z, y/z) / d(intrinsics) for a fixed pixel.
     fn by_intrinsics(&self, camera: &PinholeCamera) -> SMatrix<f64, 2, INTRINSICS> {
         camera.project_with_jacobian(&Point3::from(self.direction)).map_or_else(SMatrix::zeros, |projection| {
