@@ -32,9 +32,11 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Everything: features, matches, calibration, trajectory, map.
-    #[command(after_help = "Examples:\n  skclam run cell/ --out result/\n  skclam run cell/ --out result/ --preset paper --free angles\n\n\
+    #[command(
+        after_help = "Examples:\n  skclam run cell/ --out result/\n  skclam run cell/ --out result/ --preset paper --free angles\n\n\
                             Writes rig.toml (the calibrated rig), trajectory.txt (TUM), map.ply, map_nominal.ply and summary.json,\n\
-                            whole or not at all.")]
+                            whole or not at all."
+    )]
     Run(RunArgs),
     /// Only the calibration: writes rig.toml, trajectory.txt and summary.json.
     Calibrate(RunArgs),
@@ -45,8 +47,10 @@ pub enum Command {
     /// Render a data set in the virtual cell: images, depth, postures, nominal and true rig.
     Simulate(SimulateArgs),
     /// Repeat the paper's experiments in the virtual cell and print its tables beside ours.
-    #[command(after_help = "With --quick: half-size images, a few minutes less. Without: 1920x1080, as in the paper.\n\
-                            Writes report.md and report.json, and the maps.")]
+    #[command(
+        after_help = "With --quick: half-size images, a few minutes less. Without: 1920x1080, as in the paper.\n\
+                            Writes report.md and report.json, and the maps."
+    )]
     Reproduce(ReproduceArgs),
     /// Print a completion script for a shell.
     #[command(after_help = "Example:\n  skclam completions bash > ~/.local/share/bash-completion/completions/skclam")]

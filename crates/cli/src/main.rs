@@ -1,3 +1,40 @@
 //! The command line of SKCLAM.
 
-fn main() {}
+mod args;
+mod commands;
+mod progress;
+mod screen;
+
+use args::{Cli, Command};
+use clap::{CommandFactory, Parser};
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    progress::watch_for_interrupt();
+    match dispatch(&cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(cli: &Cli) -> anyhow::Result<()> {
+    if let Some(threads) = cli.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global()?;
+    }
+    match &cli.command {
+        Command::Run(args) => commands::run::run(cli, args, commands::run::Extent::Everything),
+        Command::Calibrate(args) => commands::run::run(cli, args, commands::run::Extent::CalibrationOnly),
+        Command::Map(args) => commands::map::map(cli, args),
+        Command::Evaluate(args) => commands::evaluate::evaluate(cli, args),
+        Command::Simulate(args) => commands::simulate::simulate(cli, args),
+        Command::Reproduce(args) => commands::reproduce::reproduce(cli, args),
+        Command::Completions { shell } => {
+            clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());
+            Ok(())
+        }
+    }
+}

@@ -1,8 +1,21 @@
 //! Simultaneous kinematic calibration, localization and mapping: datasets, the pipeline, evaluation.
+//!
+//! Begin with [`pipeline::run`]: a [`dataset::Dataset`] and a [`pipeline::Config`] in, a [`pipeline::Outcome`] out. The
+//! rooms below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`] and
+//! [`simulation`].
 
 pub mod dataset;
 pub mod evaluation;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
+pub mod summary;
 pub mod trajectory;
+
+pub use skclam_calibration as calibration;
+pub use skclam_features as features;
+pub use skclam_geometry as geometry;
+pub use skclam_kinematics as kinematics;
+pub use skclam_mapping as mapping;
+pub use skclam_rig as rig;
+pub use skclam_simulation as simulation;

@@ -1,5 +1,6 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
+mod calibrate;
 mod config;
 mod error;
 mod features;
@@ -7,7 +8,9 @@ mod map;
 mod matches;
 mod pairing;
 mod registered_depth;
+mod run;
 
+pub use calibrate::{calibrate, correspondences};
 pub use config::{Config, Estimator};
 pub use error::RunError;
 pub use features::{ImageFeatures, extract_features};
@@ -15,3 +18,4 @@ pub use map::{build_maps, localize};
 pub use matches::{MatchedPair, Search, match_pairs};
 pub use pairing::{ImagePair, Pairing, PairingOptions, PredictedView, choose_pairs};
 pub use registered_depth::RegisteredDepth;
+pub use run::{Maps, Outcome, run, run_without_map, write_cloud};

@@ -1,0 +1,7 @@
+//! One file a command.
+
+pub mod evaluate;
+pub mod map;
+pub mod reproduce;
+pub mod run;
+pub mod simulate;

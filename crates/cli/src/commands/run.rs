@@ -1,0 +1,194 @@
+//! `skclam run` and `skclam calibrate`.
+
+use crate::args::{Cli, PresetArg, RunArgs};
+use crate::progress::{Screen, peak_memory_mib};
+use crate::screen;
+use anyhow::{Context, Result};
+use skclam::calibration::Free;
+use skclam::dataset::Dataset;
+use skclam::output::StagedFolder;
+use skclam::pipeline::{self, Config};
+use skclam::rig::Rig;
+use skclam::summary::{StageSeconds, Summary};
+
+/// How far the run goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// To the map.
+    Everything,
+    /// To the rig and the trajectory.
+    CalibrationOnly,
+}
+
+/// Runs, writes the results, shows the table.
+pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
+    let dataset = match &args.rig {
+        None => Dataset::open(&args.dataset)?,
+        Some(path) => Dataset::open_with_rig(&args.dataset, Rig::read(path)?)?,
+    };
+    let config = config(args, &dataset.rig)?;
+    let staged = StagedFolder::new(&args.out)?;
+    let screen = Screen::new(cli.quiet);
+    let mut outcome = match extent {
+        Extent::Everything => pipeline::run(&dataset, &config, &screen)?,
+        Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen)?,
+    };
+    outcome.summary.stages = stages(&screen);
+    outcome.summary.peak_memory_mib = peak_memory_mib();
+    outcome.write(&staged)?;
+    let folder = staged.publish()?;
+    screen::warn(cli.quiet, &outcome.summary.warnings);
+    if cli.json {
+        println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
+    } else {
+        show(&outcome.summary);
+        println!("Results: {}", folder.display());
+    }
+    Ok(())
+}
+
+/// The times that the screen measured, as the summary keeps them.
+pub fn stages(screen: &Screen) -> Vec<StageSeconds> {
+    let times = screen.finish().into_iter();
+    times
+        .map(|time| StageSeconds { stage: time.stage, steps: time.steps, wall_s: time.wall_s, cpu_s: time.cpu_s })
+        .collect()
+}
+
+fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
+    let preset = match args.preset {
+        PresetArg::Default => Config::default(),
+        PresetArg::Paper => Config::paper(),
+    };
+    let mut config = match &args.config {
+        None => preset,
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            overlaid(&preset, &text).with_context(|| path.display().to_string())?
+        }
+    };
+    if let Some(free) = &args.free {
+        config.free = Free::parse(free, rig)?;
+    }
+    if let Some(seed) = args.seed {
+        config.seed = seed;
+    }
+    Ok(config)
+}
+
+/// The preset with every key that the file gives replaced; a whole summary.json stands for its `configuration`.
+fn overlaid(preset: &Config, text: &str) -> Result<Config> {
+    let mut given: serde_json::Value = serde_json::from_str(text)?;
+    if let Some(inner) = given.get_mut("configuration") {
+        given = inner.take();
+    }
+    let mut merged = serde_json::to_value(preset)?;
+    overlay(&mut merged, given);
+    Ok(serde_json::from_value(merged)?)
+}
+
+fn overlay(base: &mut serde_json::Value, given: serde_json::Value) {
+    match (base, given) {
+        (serde_json::Value::Object(base), serde_json::Value::Object(given)) => {
+            for (key, value) in given {
+                overlay(base.entry(key).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (base, given) => *base = given,
+    }
+}
+
+/// The table of a run.
+pub fn show(summary: &Summary) {
+    let calibration = &summary.calibration;
+    println!("{}\n", summary.verdict);
+    if !calibration.parameters.is_empty() {
+        let mut table = screen::table(&["parameter", "nominal", "calibrated", "change", "sigma", "unit"]);
+        for parameter in &calibration.parameters {
+            table.add_row([
+                parameter.name.clone(),
+                format!("{:.4}", parameter.nominal),
+                format!("{:.4}", parameter.calibrated),
+                format!("{:+.4}", parameter.calibrated - parameter.nominal),
+                parameter.sigma.map_or("-".to_owned(), |sigma| format!("{sigma:.4}")),
+                parameter.unit.clone(),
+            ]);
+        }
+        println!("{table}\n");
+    }
+    let mut table = screen::table(&["residuals, px", "nominal", "calibrated"]);
+    let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
+    table.add_row([
+        "error function, Eq. (7)".to_owned(),
+        format!("{:.3}", before.error_function),
+        format!("{:.3}", after.error_function),
+    ]);
+    table.add_row([
+        "point-line distance, RMS".to_owned(),
+        format!("{:.3}", before.rms_px),
+        format!("{:.3}", after.rms_px),
+    ]);
+    table.add_row([
+        "point-line distance, median".to_owned(),
+        format!("{:.3}", before.median_px),
+        format!("{:.3}", after.median_px),
+    ]);
+    if let (Some(before), Some(after)) = (&calibration.reprojection_before, &calibration.reprojection_after) {
+        table.add_row([
+            "reprojection, RMS".to_owned(),
+            format!("{:.3}", before.rms_px),
+            format!("{:.3}", after.rms_px),
+        ]);
+        table.add_row([
+            "reprojection, median".to_owned(),
+            format!("{:.3}", before.median_px),
+            format!("{:.3}", after.median_px),
+        ]);
+    }
+    println!("{table}\n");
+    let counts = &summary.counts;
+    println!(
+        "{} postures, {} pairs, {} keypoints, {} matches, {} tracks with {} observations",
+        counts.postures,
+        counts.pairs,
+        summary.keypoints.iter().sum::<usize>(),
+        counts.matches,
+        counts.tracks,
+        counts.observations
+    );
+    println!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
+    if let Some(rank) = calibration.rank {
+        println!("{rank} of {} free parameters are seen by the data", calibration.free);
+    }
+    for reason in &calibration.not_identifiable {
+        println!("  not identifiable: {reason}");
+    }
+    if let Some(map) = &summary.map {
+        println!("Map: {} points", map.points);
+    }
+    let wall: f64 = summary.stages.iter().map(|stage| stage.wall_s).sum();
+    let cpu: f64 = summary.stages.iter().map(|stage| stage.cpu_s).sum();
+    let list: Vec<String> = summary.stages.iter().map(|stage| format!("{} {:.1}", stage.stage, stage.wall_s)).collect();
+    println!("Time: {wall:.1} s ({}), CPU {cpu:.1} s", list.join(", "));
+    if let Some(memory) = summary.peak_memory_mib {
+        println!("Peak memory: {memory:.0} MiB");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_replaces_only_what_it_names() {
+        let config = overlaid(&Config::paper(), r#"{"filter": {"best": 50}, "seed": 9}"#).unwrap();
+        let mut expected = Config::paper();
+        expected.filter.best = Some(50);
+        expected.seed = 9;
+        assert_eq!(config, expected);
+        let summary =
+            format!(r#"{{"program": "skclam", "configuration": {}}}"#, serde_json::to_string(&expected).unwrap());
+        assert_eq!(overlaid(&Config::default(), &summary).unwrap(), expected);
+        assert!(overlaid(&Config::default(), r#"{"filter": {"bets": 50}}"#).unwrap_err().to_string().contains("bets"));
+    }
+}

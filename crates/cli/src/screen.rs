@@ -1,0 +1,30 @@
+//! What people read: tables on standard output, warnings on standard error.
+
+use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+
+/// A table whose first column is text and whose others are numbers.
+pub fn table(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table
+        .load_style(presets::UTF8_HORIZONTAL_ONLY)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_header(header);
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+/// Warnings go to standard error, so that a script that reads the results is not disturbed.
+pub fn warn(quiet: bool, warnings: &[String]) {
+    const SHOWN: usize = 12;
+    if quiet {
+        return;
+    }
+    for warning in warnings.iter().take(SHOWN) {
+        eprintln!("warning: {warning}");
+    }
+    if warnings.len() > SHOWN {
+        eprintln!("warning: ... and {} more; all of them stand in summary.json", warnings.len() - SHOWN);
+    }
+}

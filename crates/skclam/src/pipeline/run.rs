@@ -1,0 +1,147 @@
+//! The run itself, and its results as files.
+
+use super::{Config, RunError, build_maps, calibrate, correspondences, extract_features, localize, match_pairs};
+use crate::dataset::Dataset;
+use crate::output::StagedFolder;
+use crate::progress::Progress;
+use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
+use crate::trajectory::{StampedPose, trajectory_text};
+use skclam_calibration::{Calibration, Warning};
+use skclam_geometry::Isometry3;
+use skclam_mapping::{Model, PointCloud, write_ply};
+use skclam_rig::Rig;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+
+/// The maps of a run.
+#[derive(Debug, Clone)]
+pub struct Maps {
+    /// Every depth image at its calibrated pose.
+    pub calibrated: PointCloud,
+    /// Every depth image at its nominal pose, for comparison (the paper's Figs. 4 and 7).
+    pub nominal: PointCloud,
+}
+
+/// What a run gives back.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The calibration.
+    pub calibration: Calibration,
+    /// The calibrated rig.
+    pub rig: Rig,
+    /// Where the camera was, by the calibrated rig.
+    pub trajectory: Vec<StampedPose>,
+    /// `None` without depth, or where no map was asked for.
+    pub maps: Option<Maps>,
+    /// Every figure.
+    pub summary: Summary,
+}
+
+/// Calibrates, localizes and maps: the method of section 3 in its order.
+pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
+    let mut outcome = run_without_map(dataset, config, progress)?;
+    let nominal = localize(dataset, &dataset.rig)?;
+    let poses = |trajectory: &[StampedPose]| {
+        trajectory.iter().map(|stamped| stamped.base_from_camera).collect::<Vec<Isometry3>>()
+    };
+    let (calibrated_poses, nominal_poses) = (poses(&outcome.trajectory), poses(&nominal));
+    let maps = build_maps(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig, config, progress)?;
+    outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
+    outcome.summary.map = outcome.maps.as_ref().map(|maps| MapSummary { points: maps.calibrated.len() });
+    Ok(outcome)
+}
+
+/// Calibrates and localizes.
+pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
+    let images = extract_features(dataset, config, progress)?;
+    let pairs = match_pairs(dataset, &images, config, progress)?;
+    let data = correspondences(dataset, &images, &pairs);
+    if data.match_count() == 0 {
+        let total = total_counts(&pairs);
+        return Err(RunError::NoMatches {
+            images: images.len(),
+            keypoints: images.iter().map(|image| image.features.keypoints.len()).sum(),
+            candidates: total.candidates,
+            after_ratio: total.after_ratio.unwrap_or(total.candidates),
+            matches: 0,
+        });
+    }
+    let calibration = calibrate(dataset, &data, config, progress)?;
+    let rig = calibration.model.corrected_rig();
+    let trajectory = localize(dataset, &rig)?;
+    let posture_index = |position: usize| dataset.records[position].posture.index;
+    let summary = Summary {
+        program: "skclam".to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        verdict: verdict(&calibration),
+        rig: dataset.rig.name.clone(),
+        counts: Counts {
+            postures: dataset.len(),
+            depth_images: dataset.records.iter().filter(|record| record.depth.is_some()).count(),
+            pairs: pairs.len(),
+            matches: data.match_count(),
+            tracks: data.tracks.len(),
+            observations: data.observation_count(),
+        },
+        matching: total_counts(&pairs),
+        pairs: pairs
+            .iter()
+            .map(|matched| PairSummary {
+                a: posture_index(matched.pair.a),
+                b: posture_index(matched.pair.b),
+                predicted_overlap: matched.pair.overlap,
+                counts: matched.counts,
+            })
+            .collect(),
+        keypoints: images.iter().map(|image| image.features.keypoints.len()).collect(),
+        calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),
+        map: None,
+        warnings: calibration.warnings.iter().map(Warning::to_string).collect(),
+        configuration: config.clone(),
+        stages: Vec::new(),
+        peak_memory_mib: None,
+    };
+    Ok(Outcome { calibration, rig, trajectory, maps: None, summary })
+}
+
+/// One sentence that a person who is no expert understands.
+fn verdict(calibration: &Calibration) -> String {
+    let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
+    let change = format!(
+        "the median distance of a match to its epipolar line went from {:.2} to {:.2} px",
+        before.median_px, after.median_px
+    );
+    if after.median_px < before.median_px {
+        format!("The calibrated rig explains the images better: {change}.")
+    } else {
+        format!(
+            "The calibrated rig explains the images NO better than the nominal one: {change}. Keep the nominal rig."
+        )
+    }
+}
+
+impl Outcome {
+    /// Writes what `docs` promise of a run into a folder that is not yet published.
+    pub fn write(&self, staged: &StagedFolder) -> Result<(), RunError> {
+        staged.write("rig.toml", self.rig.to_toml()?)?;
+        staged.write("trajectory.txt", trajectory_text(&self.trajectory))?;
+        if let Some(maps) = &self.maps {
+            write_cloud(staged, "map.ply", &maps.calibrated)?;
+            write_cloud(staged, "map_nominal.ply", &maps.nominal)?;
+        }
+        let mut json = serde_json::to_string_pretty(&self.summary)?;
+        json.push('\n');
+        staged.write("summary.json", json)?;
+        Ok(())
+    }
+}
+
+/// Writes a cloud as binary PLY into a folder that is not yet published.
+pub fn write_cloud(staged: &StagedFolder, name: &str, cloud: &PointCloud) -> Result<(), RunError> {
+    let path = staged.path(name)?;
+    let io = |source| crate::dataset::DatasetError::Io { path: path.clone(), source };
+    let mut writer = BufWriter::new(File::create(&path).map_err(io)?);
+    write_ply(&Model::Cloud(cloud.clone()), &mut writer)?;
+    writer.flush().map_err(io)?;
+    Ok(())
+}
