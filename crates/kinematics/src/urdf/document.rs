@@ -208,8 +208,11 @@ impl<'a> RawJoint<'a> {
             "fixed" => None,
             "revolute" | "continuous" | "prismatic" => {
                 let axis = vector("axis xyz", self.axis, Vector3::x())?;
-                // The standard wants a unit vector and readers normalise; zero has no direction.
-                let axis = Unit::try_new(axis, 1e-9).ok_or_else(|| refuse("has an axis of length 0".to_owned()))?;
+                // The standard wants a unit vector and readers normalise; zero has no direction. Scaled first, as the
+                // square of a large number is infinite.
+                let scale = axis.amax().max(1.0);
+                let axis =
+                    Unit::try_new(axis / scale, 1e-9).ok_or_else(|| refuse("has an axis of length 0".to_owned()))?;
                 let number = |what: &str, text: Option<&str>| match text {
                     None => Ok(0.0),
                     Some(text) => one_number(text).ok_or_else(|| {
