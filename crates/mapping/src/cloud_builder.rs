@@ -5,7 +5,7 @@
 //! voxel; each shard takes its points in image order, and the result is ordered by voxel: the same bytes on any number
 //! of threads.
 
-use crate::normals::{NormalWindow, normals_in_depth};
+use crate::normals::{NormalWindow, surface_patches};
 use crate::view::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, PointCloud, View};
@@ -187,8 +187,8 @@ impl CloudBuilder {
         let filter = &self.options.filter;
         let depth = view.believed_depth(filter);
         let width = view.depth.width().max(1) as usize;
-        let normals = match self.options.normals {
-            PointNormals::Fitted => normals_in_depth(&depth, rays, filter, NormalWindow { radius: 4, stride: 1 }),
+        let patches = match self.options.normals {
+            PointNormals::Fitted => surface_patches(&depth, rays, filter, NormalWindow { radius: 4, stride: 2 }),
             PointNormals::None => Vec::new(),
         };
         let base_from_depth = view.base_from_depth().rotation.cast::<f32>();
@@ -207,9 +207,10 @@ impl CloudBuilder {
                     }
                     let weight = (sigma_at_1m / filter.noise.sigma(f64::from(z))).powi(2) as f32;
                     let point_in_base = (view.base_from_color * point_in_color).coords.into();
-                    let normal_in_base = normals.get(y * width + x).map_or([0.0; 3], |normal| {
+                    let normal_in_base = patches.get(y * width + x).map_or([0.0; 3], |patch| {
                         let towards_camera = -rays.direction(y * width + x).normalize();
-                        let normal = if normal.norm_squared() > 0.0 { *normal } else { towards_camera };
+                        let fitted = patch.normal.norm_squared() > 0.0;
+                        let normal = if fitted { patch.normal } else { towards_camera };
                         (base_from_depth * normal).into()
                     });
                     samples.push(Sample { point_in_base, weight, normal_in_base, color });

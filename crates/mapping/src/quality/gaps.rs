@@ -5,10 +5,9 @@
 //! one) and does not count. Every pair is measured both ways.
 
 use super::quantile;
-use crate::normals::{NormalWindow, normals_in_depth};
+use crate::normals::{NormalWindow, SurfacePatch, surface_patches};
 use crate::view::Rays;
 use crate::{DepthFilter, Error, View};
-use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::Point3;
@@ -126,8 +125,7 @@ fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<Poi
 /// A view that points are projected into.
 struct Target<'a> {
     view: &'a View<'a>,
-    depth: Vec<f32>,
-    normals: Vec<Vector3<f32>>,
+    patches: Vec<SurfacePatch>,
     rays: &'a Rays,
     gate_m: f64,
 }
@@ -136,8 +134,8 @@ impl<'a> Target<'a> {
     fn new(view: &'a View<'a>, rays: &'a Rays, options: &GapOptions) -> Self {
         let depth = view.believed_depth(&options.filter);
         let window = NormalWindow { radius: 4, stride: 2 };
-        let normals = normals_in_depth(&depth, rays, &options.filter, window);
-        Target { view, depth, normals, rays, gate_m: options.gate_m }
+        let patches = surface_patches(&depth, rays, &options.filter, window);
+        Target { view, patches, rays, gate_m: options.gate_m }
     }
 
     fn distances(&self, points_in_base: &[Point3]) -> Vec<f32> {
@@ -153,8 +151,8 @@ impl<'a> Target<'a> {
                     return None;
                 }
                 let index = y as usize * camera.width as usize + x as usize;
-                let depth = self.depth[index];
-                let normal = self.normals[index].cast::<f64>();
+                let SurfacePatch { normal, depth } = self.patches[index];
+                let normal = normal.cast::<f64>();
                 if depth <= 0.0 || normal.norm_squared() == 0.0 || (f64::from(depth) - point.z).abs() > self.gate_m {
                     return None;
                 }

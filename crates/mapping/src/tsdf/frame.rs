@@ -2,7 +2,7 @@
 
 use super::TsdfOptions;
 use crate::View;
-use crate::normals::{NormalWindow, normals_in_depth};
+use crate::normals::{NormalWindow, surface_patches};
 use crate::view::Rays;
 use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
@@ -51,20 +51,20 @@ impl Frame {
         let camera = view.depth_camera.camera;
         let depth = view.believed_depth(&options.filter);
         let width = camera.width.max(1) as usize;
-        let normals = normals_in_depth(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
+        let patches = surface_patches(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
         let sigma_at_1m = options.filter.noise.sigma(1.0);
         let mut surface = vec![NOTHING; depth.len() + 1];
         surface[..depth.len()].par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, pixel) in row.iter_mut().enumerate() {
                 let index = y * width + x;
-                let z = depth[index];
+                let z = patches[index].depth;
                 if z <= 0.0 {
                     continue;
                 }
                 let ray = rays.direction(index);
                 let range = ray.norm();
                 // Without a normal the surface is taken to face the camera.
-                let fitted = normals[index];
+                let fitted = patches[index].normal;
                 let normal: Vector3<f32> = if fitted == Vector3::zeros() { -ray / range } else { fitted };
                 let cosine = (-normal.dot(&ray) / range).max(LEAST_COSINE);
                 let weight = (sigma_at_1m / options.filter.noise.sigma(f64::from(z))).powi(2) as f32 * cosine;
