@@ -11,6 +11,7 @@ pub mod pipeline;
 pub mod progress;
 pub mod summary;
 pub mod trajectory;
+pub mod virtual_cell;
 
 pub use skclam_calibration as calibration;
 pub use skclam_features as features;

@@ -28,6 +28,9 @@ pub enum RunError {
     /// The map.
     #[error("map: {0}")]
     Mapping(#[from] skclam_mapping::Error),
+    /// The virtual cell.
+    #[error("simulation: {0}")]
+    Simulation(#[from] skclam_simulation::SimulationError),
     /// The results could not be written.
     #[error("results: {0}")]
     Output(#[from] OutputError),
