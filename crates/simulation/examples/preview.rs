@@ -39,10 +39,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         simulation.postures().len(),
         start.elapsed().as_secs_f64()
     );
+    let mut trajectory = String::new();
     for number in (0..simulation.postures().len()).step_by(step).take(count) {
         let start = Instant::now();
         let capture = simulation.capture(number)?;
         println!("posture {number}: {:.3} s", start.elapsed().as_secs_f64());
+        let (t, q) = (capture.true_base_from_color.translation, capture.true_base_from_color.rotation);
+        trajectory += &format!("{number} {} {} {} {} {} {} {}\n", t.x, t.y, t.z, q.i, q.j, q.k, q.w);
         capture.color.save(folder.join(format!("color{number:02}.png")))?;
         if let Some(depth) = &capture.depth {
             let image = GrayImage::from_fn(depth.width(), depth.height(), |x, y| {
@@ -51,6 +54,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             image.save(folder.join(format!("depth{number:02}.png")))?;
         }
     }
+    std::fs::write(folder.join("trajectory.txt"), trajectory)?;
     let wide = PinholeCamera::from_hfov(1920, 1080, 90f64.to_radians());
     let pose = looking(Vector3::new(-1.55, -1.45, 1.35), Vector3::new(0.35, 0.3, 0.05));
     let body = simulation.arm_body().model_at(&[0.4, 0.1, 0.3, 0.2, -0.9, 0.0])?;
