@@ -363,7 +363,7 @@ impl Reader<'_> {
         let [x, y, z, w] = table.quaternion_xyzw;
         let quaternion = Quaternion::new(w, x, y, z);
         let norm = quaternion.norm();
-        if !((norm - 1.0).abs() < 1e-3) {
+        if !norm.is_finite() || (norm - 1.0).abs() > 1e-3 {
             let problem = format!("has the norm {norm}; a rotation needs a unit quaternion in the order x, y, z, w");
             return Err(self.value(format!("{key}.quaternion_xyzw"), problem));
         }

@@ -78,7 +78,7 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<StampedPose>, TrajectoryError>
             return Err(error(format!("{} numbers", numbers.len())));
         };
         let quaternion = Quaternion::new(qw, qx, qy, qz);
-        if !((quaternion.norm() - 1.0).abs() < 1e-3) {
+        if !quaternion.norm().is_finite() || (quaternion.norm() - 1.0).abs() > 1e-3 {
             return Err(error(format!("the quaternion has the norm {}", quaternion.norm())));
         }
         let base_from_camera =

@@ -199,7 +199,7 @@ impl Table<'_> {
     fn pose(&self, [x, y, z, qx, qy, qz, qw]: [f64; 7], line: usize) -> Result<Isometry3, DatasetError> {
         let quaternion = Quaternion::new(qw, qx, qy, qz);
         let norm = quaternion.norm();
-        if !((norm - 1.0).abs() < 1e-3) {
+        if !norm.is_finite() || (norm - 1.0).abs() > 1e-3 {
             return Err(self.error(
                 line,
                 format!("the quaternion qx qy qz qw has the norm {norm}; a rotation needs a unit quaternion"),
