@@ -133,3 +133,36 @@ fn extract(whole: &Model, first: usize, end: usize) -> Model {
     }
     part
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_body_follows_forward_kinematics() {
+        let rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let body = ArmBody::new(&rig, 1, 0.01).unwrap();
+        let joints = [0.5, -0.3, 0.8, 1.0, -0.7, 0.2];
+        let model = body.model_at(&joints).unwrap();
+        let chain = rig.robot.as_ref().unwrap();
+        // The camera's housing ends right behind the optical centre.
+        let camera = chain.base_from_flange(&joints).unwrap() * rig.flange_from_color * Point3::origin();
+        let nearest = model.vertices.iter().map(|vertex| (vertex - camera).norm()).fold(f64::INFINITY, f64::min);
+        assert!((0.01..0.06).contains(&nearest), "{nearest}");
+        for face in &model.faces {
+            assert!((face.normal.norm() - 1.0).abs() < 1e-9 && face.s_axis.dot(&face.normal).abs() < 1e-6);
+        }
+        for triangle in &model.triangles {
+            let [a, b, c] = model.corners(triangle);
+            let face = &model.faces[triangle.face as usize];
+            assert!((b - a).cross(&(c - a)).dot(&face.normal) > 0.0, "counter-clockwise from outside");
+        }
+        assert_eq!(body.skeleton(&joints).unwrap().len(), 8);
+        let turned = body.model_at(&[0.6, -0.3, 0.8, 1.0, -0.7, 0.2]).unwrap();
+        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), 0.1);
+        for (a, b) in model.vertices.iter().zip(&turned.vertices).skip(model.vertices.len() / 2) {
+            assert!((turn * a - b).norm() < 1e-9, "joint 1 turns all beyond it");
+        }
+        assert!(body.model_at(&[0.0]).is_err());
+    }
+}

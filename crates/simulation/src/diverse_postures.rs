@@ -216,3 +216,30 @@ fn acceptable(
     let seen = (near..=far).contains(&median) && plain as f64 <= options.most_plain * points.len() as f64;
     Ok(seen.then_some(View { base_from_color, points }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::SceneOptions;
+
+    #[test]
+    fn diverse_postures_are_within_limits_apart_and_repeat() {
+        let rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let scene = Scene::new(&SceneOptions { texel_at_1m_mm: Some(20.0), ..Default::default() }, 300.0).unwrap();
+        let options = DiverseOptions { count: 12, ..Default::default() };
+        let postures = diverse_postures(&rig, &scene, &options).unwrap();
+        assert_eq!(postures, diverse_postures(&rig, &scene, &options).unwrap());
+        let chain = rig.robot.as_ref().unwrap();
+        for (index, joints) in postures.iter().enumerate() {
+            assert!(chain.admits(joints), "posture {index}");
+            let eye = chain.base_from_flange(joints).unwrap() * rig.flange_from_color * Point3::origin();
+            assert!(eye.z > 0.12);
+            for other in &postures[..index] {
+                assert!(joints.iter().zip(other).any(|(a, b)| (a - b).abs() > 0.05));
+            }
+        }
+        let impossible = DiverseOptions { count: 1, view_distance_m: [9.0, 10.0], ..Default::default() };
+        let error = diverse_postures(&rig, &scene, &impossible).unwrap_err();
+        assert!(matches!(error, SimulationError::Postures { need: 1, got: 0, .. }), "{error}");
+    }
+}

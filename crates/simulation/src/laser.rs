@@ -151,3 +151,54 @@ fn standard_deviation(readings: &[Vector3<f64>]) -> [f64; 3] {
     let squares: Vector3<f64> = readings.iter().map(|reading| (reading - mean).map(|value| value * value)).sum();
     (squares / (readings.len() - 1) as f64).map(f64::sqrt).into()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perturb_paper;
+    use skclam_rig::Rig;
+
+    fn chains() -> (SerialChain, SerialChain) {
+        let nominal = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let truth = perturb_paper(&nominal).unwrap();
+        (nominal.robot.unwrap(), truth.robot.unwrap())
+    }
+
+    #[test]
+    fn calibration_brings_the_spread_down_to_the_sensors_resolution() {
+        let (nominal, truth) = chains();
+        let result = laser_experiment(&nominal, &truth, &truth, &LaserOptions::default()).unwrap();
+        assert_eq!(result.poses.len(), 5);
+        for pose in &result.poses {
+            assert_eq!(pose.postures, [8, 8]);
+            assert!(pose.calibrated_sd_mm.iter().all(|sd| *sd <= 0.010), "{pose:?}");
+            assert!(pose.nominal_sd_mm.iter().sum::<f64>() > 3.0, "{pose:?}");
+        }
+        let [before, after] = result.mean_sd_mm();
+        println!("mean standard deviation: {before:.3} mm before, {after:.4} mm after");
+        assert!(before > 2.0 && after < 0.006);
+        // A calibration that is wrong by a hundredth of the error leaves about a hundredth of the spread.
+        let mut nearly = truth.clone();
+        for id in crate::paper_parameters(6) {
+            nearly.set_parameter(id, nearly.parameter(id).unwrap() - 0.01f64.to_radians()).unwrap();
+        }
+        let exact = LaserOptions { resolution_mm: 0.0, ..Default::default() };
+        let [_, near] = laser_experiment(&nominal, &nearly, &truth, &exact).unwrap().mean_sd_mm();
+        assert!((near / before - 0.01).abs() < 0.002, "{near} of {before}");
+    }
+
+    #[test]
+    fn options_that_do_not_fit_are_named() {
+        let (nominal, truth) = chains();
+        let uneven = LaserOptions { rotations_deg: vec![], ..Default::default() };
+        let error = laser_experiment(&nominal, &truth, &truth, &uneven).unwrap_err();
+        assert!(error.to_string().contains("5 positions beside 0 rotations"), "{error}");
+        let far = LaserOptions {
+            positions_mm: vec![[9000.0, 0.0, 0.0]],
+            rotations_deg: vec![[0.0; 3]],
+            ..Default::default()
+        };
+        let error = laser_experiment(&nominal, &truth, &truth, &far).unwrap_err();
+        assert!(matches!(error, SimulationError::Solutions { need: 8, got: 0 }));
+    }
+}

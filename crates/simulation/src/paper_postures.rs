@@ -88,3 +88,46 @@ fn wrapped(angle: f64) -> f64 {
     let turned = angle.rem_euclid(TAU);
     if turned > PI { turned - TAU } else { turned }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hp3j() -> Rig {
+        Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap()
+    }
+
+    #[test]
+    fn all_postures_but_for_joint_1_reach_one_flange_pose() {
+        let rig = hp3j();
+        let chain = rig.robot.as_ref().unwrap();
+        let target = PaperView::default().base_from_flange(&rig);
+        let postures = paper_postures(chain, &target).unwrap();
+        assert_eq!(postures.len(), 73);
+        assert_eq!(postures[72], postures[0]);
+        for (k, joints) in postures[..72].iter().enumerate() {
+            assert!(joints[0] > -std::f64::consts::PI && joints[0] <= std::f64::consts::PI);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (5.0 * k as f64).to_radians());
+            let pose = chain.base_from_flange(joints).unwrap();
+            let error = (turn * target).inverse() * pose;
+            assert!(error.translation.vector.norm() < 1e-9 && error.rotation.angle() < 1e-9, "posture {k}");
+            for other in &postures[..k] {
+                assert!(joints.iter().zip(other).any(|(a, b)| (a - b).abs() > 1e-3), "all 72 differ");
+            }
+        }
+        let far = Isometry3::translation(3.0, 0.0, 0.0);
+        assert!(matches!(paper_postures(chain, &far), Err(SimulationError::Solutions { need: 8, got: 0 })));
+    }
+
+    #[test]
+    fn the_view_without_angles_looks_outward_and_upright() {
+        let view = PaperView { yaw_deg: 0.0, pitch_deg: 0.0, roll_deg: 0.0, ..Default::default() };
+        let pose = view.base_from_color();
+        assert!(
+            (pose * Vector3::z() - Vector3::x()).norm() < 1e-12 && (pose * Vector3::y() + Vector3::z()).norm() < 1e-12
+        );
+        let down = PaperView { pitch_deg: 30.0, ..view }.base_from_color() * Vector3::z();
+        let left = PaperView { yaw_deg: 30.0, ..view }.base_from_color() * Vector3::z();
+        assert!((down.z + 0.5).abs() < 1e-12 && (left.y - 0.5).abs() < 1e-12);
+    }
+}

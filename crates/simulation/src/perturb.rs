@@ -80,3 +80,53 @@ pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> 
     truth.name = format!("{} (true arm drawn from seed {seed})", nominal.name);
     Ok(truth)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hp3j() -> Rig {
+        Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap()
+    }
+
+    #[test]
+    fn the_papers_arm_differs_in_ten_angles_by_one_degree() {
+        let nominal = hp3j();
+        let truth = perturb_paper(&nominal).unwrap();
+        let (before, after) = (nominal.robot.unwrap(), truth.robot.unwrap());
+        let mut changed = Vec::new();
+        for id in before.parameter_ids() {
+            let difference = after.parameter(id).unwrap() - before.parameter(id).unwrap();
+            if difference != 0.0 {
+                assert!((difference.to_degrees() - 1.0).abs() < 1e-12);
+                changed.push(id.to_string());
+            }
+        }
+        changed.sort();
+        let mut expected: Vec<String> =
+            (2..=6).flat_map(|i| [format!("alpha_{i}"), format!("theta_offset_{i}")]).collect();
+        expected.sort();
+        assert_eq!(changed, expected);
+        assert_eq!(truth.flange_from_color, nominal.flange_from_color);
+    }
+
+    #[test]
+    fn a_drawn_arm_differs_everywhere_and_only_by_its_seed() {
+        let nominal = hp3j();
+        let sigmas = PerturbationSigmas::default();
+        let truth = perturb_random(&nominal, 3, &sigmas).unwrap();
+        assert_eq!(truth, perturb_random(&nominal, 3, &sigmas).unwrap());
+        let (before, after) = (nominal.robot.as_ref().unwrap(), truth.robot.as_ref().unwrap());
+        for id in before.parameter_ids() {
+            let error = (after.parameter(id).unwrap() - before.parameter(id).unwrap()).abs();
+            let sigma = if id.kind.is_angle() { 0.5f64.to_radians() } else { 1e-3 };
+            assert!(error > 0.0 && error < 5.0 * sigma, "{id}: {error}");
+        }
+        assert_ne!(truth.flange_from_color, nominal.flange_from_color);
+        assert_ne!(truth.robot, perturb_random(&nominal, 4, &sigmas).unwrap().robot);
+        let bad = PerturbationSigmas { angle_deg: f64::NAN, ..sigmas };
+        assert!(matches!(perturb_random(&nominal, 3, &bad), Err(SimulationError::Option { option: "angle_deg", .. })));
+        let handless = Rig { robot: None, ..nominal };
+        assert!(matches!(perturb_paper(&handless), Err(SimulationError::NoRobot)));
+    }
+}

@@ -199,3 +199,100 @@ impl Simulation {
         (0..self.postures.len()).map(|number| self.capture(number))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::depth_counts;
+    use skclam_geometry::{DepthCamera, Pixel, Point3};
+
+    fn small_rig() -> Rig {
+        let mut rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        rig.color = rig.color.scaled(0.125);
+        rig.depth = rig.depth.map(|depth| DepthCamera { camera: depth.camera.scaled(0.25), ..depth });
+        rig
+    }
+
+    fn config() -> SimulationConfig {
+        SimulationConfig {
+            scene: SceneOptions { texel_at_1m_mm: Some(8.0), ..Default::default() },
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn captures_are_taken_by_the_true_arm_and_repeat() {
+        let rig = small_rig();
+        let noisy = SimulationConfig {
+            color_noise: ColorNoiseOptions { sensor_sigma: 2.0, ..ColorNoiseOptions::paper() },
+            encoder_noise: EncoderNoiseOptions { sigma_deg: 0.01, ..Default::default() },
+            ..config()
+        };
+        let simulation = Simulation::new(&rig, &noisy).unwrap();
+        assert_eq!(simulation.postures().len(), 73);
+        let capture = simulation.capture(5).unwrap();
+        let chain = simulation.true_rig().robot.as_ref().unwrap();
+        let expected = chain.base_from_flange(&capture.true_joint_values).unwrap() * rig.flange_from_color;
+        assert_eq!(capture.true_base_from_color, expected);
+        let PostureState::Joints(commanded) = &capture.posture.state else { panic!("joints") };
+        let noise: Vec<f64> =
+            commanded.iter().zip(&capture.true_joint_values).map(|(a, b)| (b - a).to_degrees()).collect();
+        assert!(
+            noise.iter().all(|error| error.abs() < 0.05) && noise.iter().any(|error| error.abs() > 1e-4),
+            "{noise:?}"
+        );
+        let nominal = rig.base_from_color(&capture.posture).unwrap();
+        assert!(
+            (nominal.translation.vector - expected.translation.vector).norm() > 1e-3,
+            "the true arm is another one"
+        );
+        assert_eq!((capture.color.width(), capture.color.height()), (240, 135));
+        // Another simulation, another order: the same bytes.
+        let again = Simulation::new(&rig, &noisy).unwrap().capture(5).unwrap();
+        assert_eq!(capture.color, again.color);
+        assert_eq!(capture.depth, again.depth);
+        assert_ne!(capture.color, simulation.capture(6).unwrap().color);
+        assert!(simulation.capture(73).is_err());
+    }
+
+    #[test]
+    fn exact_depth_and_pose_put_points_on_the_scene() {
+        let rig = small_rig();
+        let exact = SimulationConfig { depth_noise: DepthNoiseOptions::none(), ..config() };
+        let simulation = Simulation::new(&rig, &exact).unwrap();
+        let capture = simulation.capture(17).unwrap();
+        let (depth, camera) = (capture.depth.unwrap(), rig.depth.unwrap());
+        let eye = Point3::from(capture.true_base_from_color.translation.vector);
+        let (mut near, mut all) = (0, 0);
+        for (x, y) in (0..depth.height()).flat_map(|y| (0..depth.width()).map(move |x| (x, y))) {
+            let Some(z) = depth.at(x, y) else { continue };
+            let pixel = Pixel::new(f64::from(x), f64::from(y));
+            let point = capture.true_base_from_color * camera.point_in_color(&pixel, f64::from(z));
+            let way = (point - eye).normalize();
+            let hit = simulation.scene().caster().first_hit(&eye, &way, 20.0).unwrap();
+            all += 1;
+            near += usize::from((hit.distance - (point - eye).norm()).abs() < 0.002);
+        }
+        // The colour camera beside the depth camera sees past some edges.
+        assert!(all > 9000 && near as f64 > 0.95 * all as f64, "{near} of {all}");
+        assert_eq!(depth_counts(&depth, 0.001).len(), 120 * 90);
+    }
+
+    #[test]
+    fn a_rig_without_an_arm_or_with_bad_options_is_refused() {
+        let rig = Rig { robot: None, ..small_rig() };
+        assert!(matches!(Simulation::new(&rig, &config()), Err(SimulationError::NoRobot)));
+        let mut bad = config();
+        bad.color_noise.blur_size = 6;
+        assert!(matches!(
+            Simulation::new(&small_rig(), &bad),
+            Err(SimulationError::Option { option: "blur_size", .. })
+        ));
+        let mut bad = config();
+        bad.scene.texel_at_1m_mm = Some(f64::NAN);
+        assert!(matches!(
+            Simulation::new(&small_rig(), &bad),
+            Err(SimulationError::Option { option: "texel_at_1m_mm", .. })
+        ));
+    }
+}
