@@ -73,7 +73,8 @@ impl Free {
     /// The ordered list of parameters that the selection stands for before the data are heard: arm (base to flange), mount,
     /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base end (what
     /// moves the whole world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
-    /// data may speak of: without depth no depth parameter, without joint values nothing of the arm.
+    /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. `Auto` frees the depth's scale only where a board
+    /// or the controller's poses tell lengths.
     pub fn candidates(&self, rig: &Rig, has_joints: bool, has_depth: bool) -> Result<Vec<Parameter>, CalibrationError> {
         let mut list = match self {
             Free::Angles => angles(rig),
@@ -89,7 +90,10 @@ impl Free {
                     list.extend(Intrinsic::ALL[..intrinsics].iter().copied().map(Parameter::Intrinsic));
                 }
                 list.extend([Parameter::DepthScale, Parameter::DepthOffset]);
+                // With every length free and no board, depth alone gives the scale: its own must then be taken as true.
+                let depth_is_the_scale = *self == Free::Auto && has_joints && rig.board.is_none();
                 list.retain(|parameter| match parameter {
+                    Parameter::DepthScale if depth_is_the_scale => false,
                     Parameter::DepthScale | Parameter::DepthOffset => has_depth,
                     parameter => has_joints || !parameter.needs_joints(),
                 });
@@ -244,7 +248,7 @@ mod tests {
     fn auto_leaves_out_the_gauge_and_counts_24() {
         let list = Free::Auto.candidates(&hp3j(), true, false).unwrap();
         assert_eq!(list.len(), 24);
-        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 26);
+        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 25, "and the depth's offset");
     }
 
     #[test]

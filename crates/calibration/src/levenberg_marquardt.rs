@@ -30,6 +30,7 @@ pub(crate) struct Proposal<S> {
 pub(crate) struct Descent<S> {
     pub state: S,
     pub cost: f64,
+    pub initial_cost: f64,
     pub iterations: usize,
     pub evaluations: usize,
     pub reason: StopReason,
@@ -49,6 +50,7 @@ pub(crate) fn descend<S>(
     mut propose: impl FnMut(&S, f64) -> Result<Proposal<S>, CalibrationError>,
 ) -> Result<Descent<S>, CalibrationError> {
     let mut damping = FIRST_DAMPING;
+    let initial_cost = cost;
     let (mut iterations, mut evaluations) = (0, 1);
     let reason = loop {
         if iterations >= limits.max_iterations {
@@ -90,7 +92,7 @@ pub(crate) fn descend<S>(
             }
         }
     };
-    Ok(Descent { state, cost, iterations, evaluations, reason })
+    Ok(Descent { state, cost, initial_cost, iterations, evaluations, reason })
 }
 
 /// Solves `(H + damping diag(H)) x = g` for a symmetric positive semidefinite `H`; unknowns that nothing sees stay.

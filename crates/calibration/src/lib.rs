@@ -4,6 +4,7 @@
 //! them free an explicit, ordered list of [`Parameter`]s, say how they ended ([`Termination`]) and what the data
 //! cannot tell. This crate knows pixels, postures and rigs; it knows no images, no files, no map and no simulation.
 
+mod bundle;
 mod correspondences;
 mod error;
 mod error_function;
@@ -24,6 +25,7 @@ mod termination;
 mod uncertainty;
 mod warning;
 
+pub use bundle::{BundleOptions, DeviationPolicy, calibrate_bundle};
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
 };

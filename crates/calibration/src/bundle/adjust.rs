@@ -1,0 +1,182 @@
+//! One descent of everything that moves, and the covariance at its end.
+
+use crate::bundle::observations::Observations;
+use crate::bundle::reduced::{ResidualSize, reduce, residual_sizes, substitute_back, total_cost, track_chunks};
+use crate::bundle::start::{place_board, triangulate_all};
+use crate::bundle::state::{NoiseScales, State};
+use crate::bundle::unknowns::Unknowns;
+use crate::levenberg_marquardt::{
+    Descent, DescentLimits, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+};
+use crate::motion::Motion;
+use crate::prior::Priors;
+use crate::{CalibrationError, Loss, Model, Parameter};
+use nalgebra::{DMatrix, DVector};
+use skclam_geometry::Point3;
+use skclam_rig::Rig;
+
+/// A gain below this, in squared sigmas, means nothing.
+const MEANINGLESS_GAIN: f64 = 1e-4;
+
+/// All that a descent needs besides the state.
+pub(crate) struct Adjustment<'a> {
+    pub nominal: &'a Rig,
+    pub motion: &'a Motion,
+    pub observations: &'a Observations,
+    pub parameters: &'a [Parameter],
+    pub priors: &'a Priors,
+    pub loss: Loss,
+    pub noise: NoiseScales,
+}
+
+impl Adjustment<'_> {
+    fn unknowns(&self, state: &State) -> Unknowns<'_> {
+        let postures = self.motion.len();
+        let joints = if postures == 0 { 0 } else { state.deviations.len() / postures };
+        Unknowns { parameters: self.parameters, board: state.base_from_board.is_some(), joints, postures }
+    }
+
+    fn chunks(&self) -> Vec<(usize, usize)> {
+        track_chunks(self.observations)
+    }
+
+    fn cost(&self, state: &State, chunks: &[(usize, usize)]) -> f64 {
+        let view = state.view(&self.noise, self.loss);
+        let sights = total_cost(self.observations, chunks, &view, &state.points, state.base_from_board.as_ref());
+        let deviations: f64 = state.deviations.iter().map(|d| (d / self.noise.deviation).powi(2)).sum();
+        sights + 0.5 * deviations + self.priors.cost(self.nominal, &state.model, self.parameters)
+    }
+
+    fn add_deviation_prior(
+        &self,
+        unknowns: &Unknowns<'_>,
+        state: &State,
+        information: &mut DMatrix<f64>,
+        descent: &mut DVector<f64>,
+    ) {
+        let weight = 1.0 / (self.noise.deviation * self.noise.deviation);
+        for (k, deviation) in state.deviations.iter().enumerate() {
+            let at = unknowns.first_deviation() + k;
+            information[(at, at)] += weight;
+            descent[at] -= weight * deviation;
+        }
+    }
+
+    /// Descends until a step gains nothing that means anything.
+    pub(crate) fn descend(&self, state: State, max_iterations: usize) -> Result<Descent<State>, CalibrationError> {
+        let chunks = self.chunks();
+        let cost = self.cost(&state, &chunks);
+        let unknowns = self.unknowns(&state);
+        let cost_tolerance = (MEANINGLESS_GAIN / cost.max(f64::MIN_POSITIVE)).clamp(1e-13, 1e-6);
+        let limits = DescentLimits { max_iterations, cost_tolerance, step_tolerance: 1e-11 };
+        descend(state, cost, limits, |state, damping| {
+            let view = state.view(&self.noise, self.loss);
+            let board = state.base_from_board.as_ref();
+            let shared = unknowns.shared_free();
+            let columns = unknowns.columns(self.motion, state)?;
+            let system = reduce(self.observations, &chunks, &view, &state.points, board, shared, damping);
+            let (mut information, mut descent) = unknowns.assemble(&system, &columns);
+            self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut descent);
+            self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
+            let step = damped_solve(&information, &descent, self.parameters, damping)?;
+            let camera_step = unknowns.camera_step(&columns, &step);
+            let mut moved = unknowns.stepped(self.motion, state, &step)?;
+            moved.points = substitute_back(self.observations, &chunks, &view, &state.points, &camera_step, damping);
+            let norm = scaled_norm(self.parameters, &step);
+            Ok(Proposal {
+                cost: self.cost(&moved, &chunks),
+                state: moved,
+                // Without parameters only board and points move: the cost decides.
+                step: if self.parameters.is_empty() { f64::INFINITY } else { norm },
+                predicted: predicted_gain(&information, &descent, &step) + system.point_gain,
+            })
+        })
+    }
+
+    /// Sizes of all residuals at a state.
+    pub(crate) fn residual_sizes(&self, state: &State) -> Vec<ResidualSize> {
+        let view = state.view(&self.noise, self.loss);
+        residual_sizes(self.observations, &self.chunks(), &view, &state.points, state.base_from_board.as_ref())
+    }
+
+    /// Information of the data about all unknowns, points eliminated; with the prior of the deviations, without those of the parameters.
+    pub(crate) fn information(&self, state: &State) -> Result<DMatrix<f64>, CalibrationError> {
+        let unknowns = self.unknowns(state);
+        let view = state.view(&self.noise, self.loss);
+        let board = state.base_from_board.as_ref();
+        let columns = unknowns.columns(self.motion, state)?;
+        let shared = unknowns.shared_free();
+        let system = reduce(self.observations, &self.chunks(), &view, &state.points, board, shared, 0.0);
+        let (mut information, mut descent) = unknowns.assemble(&system, &columns);
+        self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
+        Ok(information)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn cost_of(&self, state: &State) -> f64 {
+        self.cost(state, &self.chunks())
+    }
+
+    /// Negative gradient of the reduced cost.
+    #[cfg(test)]
+    pub(crate) fn descent_of(&self, state: &State) -> Result<DVector<f64>, CalibrationError> {
+        let unknowns = self.unknowns(state);
+        let view = state.view(&self.noise, self.loss);
+        let columns = unknowns.columns(self.motion, state)?;
+        let board = state.base_from_board.as_ref();
+        let system =
+            reduce(self.observations, &self.chunks(), &view, &state.points, board, unknowns.shared_free(), 0.0);
+        Ok(unknowns.assemble(&system, &columns).1)
+    }
+
+    /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are told.
+    pub(crate) fn triangulate(&self, state: &State) -> Vec<Option<Point3>> {
+        triangulate_all(self.observations, &state.view(&self.noise, self.loss))
+    }
+}
+
+/// A state for a model: cameras posed, board placed, no points yet.
+pub(crate) fn posed_state(
+    model: &Model,
+    deviations: Vec<f64>,
+    motion: &Motion,
+    observations: &Observations,
+    noise: &NoiseScales,
+    loss: Loss,
+) -> Result<State, CalibrationError> {
+    let mut state =
+        State { model: model.clone(), deviations, points: Vec::new(), base_from_board: None, poses: Vec::new() };
+    state.refresh_poses(motion)?;
+    if !observations.corners.is_empty() {
+        state.base_from_board = place_board(observations, &state.view(noise, loss));
+    }
+    Ok(state)
+}
+
+/// Eliminates all unknowns but the first `count`: their information when the others are free.
+pub(crate) fn marginal(information: &DMatrix<f64>, count: usize) -> DMatrix<f64> {
+    let total = information.nrows();
+    let own = information.view((0, 0), (count, count)).into_owned();
+    if total == count {
+        return own;
+    }
+    let cross = information.view((0, count), (count, total - count)).into_owned();
+    let rest = information.view((count, count), (total - count, total - count)).into_owned();
+    match rest.cholesky() {
+        Some(factor) => {
+            let marginal = own - &cross * factor.solve(&cross.transpose());
+            (&marginal + marginal.transpose()) * 0.5
+        }
+        None => own,
+    }
+}
+
+/// Diagonal of the inverse; `None` where it is not positive definite.
+pub(crate) fn variances(information: &DMatrix<f64>) -> Option<DVector<f64>> {
+    let scale = DVector::from_fn(information.nrows(), |k, _| 1.0 / information[(k, k)].max(1e-300).sqrt());
+    let scaled = DMatrix::from_fn(information.nrows(), information.ncols(), |i, j| {
+        information[(i, j)] * scale[i] * scale[j] + if i == j { 1e-13 } else { 0.0 }
+    });
+    let inverse = scaled.cholesky()?.inverse();
+    Some(DVector::from_fn(information.nrows(), |k, _| inverse[(k, k)] * scale[k] * scale[k]))
+}

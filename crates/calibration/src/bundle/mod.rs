@@ -1,0 +1,19 @@
+//! Kinematic bundle adjustment: the estimator that reaches the Cramer-Rao bound.
+//!
+//! Camera poses are functions of the free parameters, so that after the scene points are eliminated the normal equations are as small as the parameters (and
+//! the joint deviations, six a posture). Residuals: reprojection, measured depth whose sigma grows with the square of the depth, board
+//! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
+
+mod adjust;
+mod noise;
+mod observations;
+mod reduced;
+mod solve;
+mod start;
+mod state;
+#[cfg(test)]
+mod tests;
+mod triangulate;
+mod unknowns;
+
+pub use solve::{BundleOptions, DeviationPolicy, calibrate_bundle};

@@ -1,0 +1,125 @@
+//! The noise of pixels, depths and joints, estimated from what is left of the residuals.
+//!
+//! Simplified estimation of variance components (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", 1979): the squared residuals
+//! of a kind, divided by the degrees of freedom that the fit leaves them. Residuals beyond a gate are left out and the truncation is corrected.
+
+use crate::bundle::reduced::ResidualSize;
+use crate::bundle::state::NoiseScales;
+use crate::robust::median;
+use crate::{Loss, PostureFit, ReprojectionStatistics};
+
+/// Pixel residuals (two coordinates) beyond so many sigmas say nothing about the noise.
+const PIXEL_GATE: f64 = 4.5;
+/// Mean square over 2 of a two-dimensional normal within that radius: `1 - (g^2/2) e / (1 - e)`, `e = exp(-g^2/2)`.
+const PIXEL_TRUNCATION: f64 = 0.999_59;
+/// The same for one dimension: `1 - 2 g phi(g) / (2 Phi(g) - 1)`. The gates are wide because the residuals of a point that two images show have
+/// fewer dimensions than two.
+const DEPTH_GATE: f64 = 4.0;
+const DEPTH_TRUNCATION: f64 = 0.998_93;
+/// Beyond so many sigmas a sight is called an outlier.
+pub(crate) const OUTLIER_SIGMAS: f64 = 4.5;
+/// Noise below this is taken for rounding.
+const EXACT_PX: f64 = 1e-6;
+const EXACT_DEPTH: f64 = 1e-8;
+
+/// New scales from residuals measured with the old ones. `freedom`: fraction of all degrees of freedom that the global unknowns leave.
+pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, freedom: f64) -> NoiseScales {
+    let pixels: Vec<(f64, f64)> =
+        sizes.iter().filter(|s| s.pixel.is_finite()).map(|s| (s.pixel, 0.5 * s.pixel_freedom)).collect();
+    // The median of a two-dimensional normal's length is 1.1774 sigma.
+    let pixel = component(&pixels, 1.1774, PIXEL_GATE, 2.0 * PIXEL_TRUNCATION);
+    let depths: Vec<(f64, f64)> = sizes.iter().filter_map(|s| s.depth).map(|(u, f)| (u.abs(), f)).collect();
+    let depth = component(&depths, 0.6745, DEPTH_GATE, DEPTH_TRUNCATION);
+    let share = freedom.max(1e-3).sqrt();
+    NoiseScales {
+        pixel: (old.pixel * pixel / share).max(EXACT_PX),
+        depth: if depths.is_empty() { old.depth } else { (old.depth * depth / share).max(EXACT_DEPTH) },
+        deviation: old.deviation,
+    }
+}
+
+/// Scale of residuals `(size, share of its degrees of freedom)`: median first, then the fixed point within the gate.
+fn component(residuals: &[(f64, f64)], median_of_one: f64, gate: f64, mean_square: f64) -> f64 {
+    // A sight that its own point swallows says nothing.
+    let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, freedom)| *freedom > 0.02).collect();
+    let mut sizes: Vec<f64> = heard.iter().map(|(size, freedom)| size / freedom.sqrt()).collect();
+    if sizes.is_empty() {
+        return 1.0;
+    }
+    let mut scale = median(&mut sizes) / median_of_one;
+    for _ in 0..30 {
+        let (mut sum, mut freedom) = (0.0, 0.0);
+        for (size, share) in &heard {
+            if *size < gate * scale * share.sqrt() {
+                sum += size * size;
+                freedom += share;
+            }
+        }
+        if freedom == 0.0 {
+            break;
+        }
+        let next = (sum / (freedom * mean_square)).sqrt();
+        let settled = (next - scale).abs() <= 1e-5 * scale;
+        scale = next;
+        if settled {
+            break;
+        }
+    }
+    scale
+}
+
+/// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix. Residuals of two dimensions bend with the mean of
+/// `psi'` and `psi / u`.
+pub(crate) fn efficiency_factor(sizes: &[ResidualSize], loss: Loss) -> f64 {
+    let (mut psi2, mut weight, mut curvature, mut freedom) = (0.0, 0.0, 0.0, 0.0);
+    let mut hear = |u: f64, dimensions: f64, share: f64| {
+        let (w, c) = (loss.weight(u), loss.curvature(u));
+        psi2 += (w * u).powi(2);
+        weight += dimensions * w;
+        curvature += if dimensions > 1.0 { w + c } else { c };
+        freedom += share;
+    };
+    for size in sizes.iter().filter(|s| s.pixel.is_finite() && s.pixel < OUTLIER_SIGMAS) {
+        hear(size.pixel, 2.0, size.pixel_freedom);
+        if let Some((u, share)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
+            hear(u, 1.0, share);
+        }
+    }
+    let dimensions = sizes.iter().filter(|s| s.pixel.is_finite() && s.pixel < OUTLIER_SIGMAS);
+    let count: f64 = dimensions.map(|s| 2.0 + f64::from(s.depth.is_some_and(|(u, _)| u.abs() < OUTLIER_SIGMAS))).sum();
+    if freedom <= 0.0 || curvature <= 0.0 || count <= 0.0 {
+        return 1.0;
+    }
+    let (psi2, weight, curvature) = (psi2 / freedom, weight / count, curvature / count);
+    (psi2 * weight / (curvature * curvature)).max(0.5)
+}
+
+/// Distances in px over all sights.
+pub(crate) fn statistics(sizes: &[ResidualSize]) -> ReprojectionStatistics {
+    let mut distances: Vec<f64> = sizes.iter().map(|s| s.distance_px).collect();
+    let (mut sum, mut inliers) = (0.0, 0usize);
+    for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
+        sum += size.distance_px * size.distance_px;
+        inliers += 1;
+    }
+    ReprojectionStatistics {
+        rms_px: if inliers == 0 { 0.0 } else { (sum / inliers as f64).sqrt() },
+        median_px: median(&mut distances),
+        observations: sizes.len(),
+        inliers,
+    }
+}
+
+/// How well each posture fits.
+pub(crate) fn posture_fits(sizes: &[ResidualSize], postures: usize) -> Vec<PostureFit> {
+    let mut of_posture: Vec<Vec<f64>> = vec![Vec::new(); postures];
+    sizes.iter().for_each(|s| of_posture[s.posture as usize].push(s.pixel));
+    of_posture
+        .iter_mut()
+        .map(|sizes| PostureFit {
+            observations: sizes.len(),
+            outliers: sizes.iter().filter(|u| **u >= OUTLIER_SIGMAS).count(),
+            median_sigmas: median(sizes),
+        })
+        .collect()
+}

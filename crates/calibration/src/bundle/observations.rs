@@ -1,0 +1,163 @@
+//! Tracks and board corners, laid out flat for the loops that run over a million of them.
+
+use crate::{CalibrationError, Correspondences, Warning};
+use nalgebra::{Matrix2, Vector2};
+use skclam_geometry::{Pixel, Point3};
+use skclam_rig::Rig;
+
+/// One sight of a scene point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sighting {
+    pub posture: u32,
+    /// z-depth in the camera, metres; 0 where nothing was measured.
+    pub depth_m: f64,
+    pub pixel: Pixel,
+    /// Upper triangle of the matrix that whitens a pixel difference (relative units).
+    whitener: [f64; 3],
+}
+
+impl Sighting {
+    pub(crate) fn whiten(&self, v: Vector2<f64>) -> Vector2<f64> {
+        let [a, b, c] = self.whitener;
+        Vector2::new(a * v.x + b * v.y, c * v.y)
+    }
+
+    pub(crate) fn whitener(&self) -> Matrix2<f64> {
+        let [a, b, c] = self.whitener;
+        Matrix2::new(a, b, 0.0, c)
+    }
+
+    /// Metres for which the depth residual counts as one, before the common scale: the noise grows with the square of the depth.
+    pub(crate) fn depth_unit(&self) -> f64 {
+        self.depth_m * self.depth_m
+    }
+}
+
+/// One sight of a board corner.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CornerSighting {
+    pub sighting: Sighting,
+    pub point_in_board: Point3,
+}
+
+/// All sights: those of track `t` are `sightings[offsets[t]..offsets[t + 1]]`.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Observations {
+    pub offsets: Vec<usize>,
+    pub sightings: Vec<Sighting>,
+    pub corners: Vec<CornerSighting>,
+    /// Each board corner as a track of its own (for the start), and where it lies on the board.
+    pub corner_tracks: Vec<(Point3, Vec<Sighting>)>,
+    pub postures: usize,
+}
+
+fn whitener(covariance: &Matrix2<f64>) -> [f64; 3] {
+    // W^T W = covariance^-1 with W upper triangular.
+    let determinant = covariance.determinant();
+    let (ixx, ixy, iyy) =
+        (covariance[(1, 1)] / determinant, -covariance[(0, 1)] / determinant, covariance[(0, 0)] / determinant);
+    let a = ixx.sqrt();
+    let b = ixy / a;
+    [a, b, (iyy - b * b).max(0.0).sqrt()]
+}
+
+impl Observations {
+    /// Keeps tracks with at least two postures, those of `keep` alone. `data` has been checked.
+    pub(crate) fn new(
+        rig: &Rig,
+        data: &Correspondences,
+        keep: &dyn Fn(usize) -> bool,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<Self, CalibrationError> {
+        let mut flat = Observations { offsets: vec![0], postures: data.postures.len(), ..Default::default() };
+        let mut repeated = 0;
+        let mut last_track = vec![usize::MAX; data.postures.len()];
+        for (index, track) in data.tracks.iter().enumerate() {
+            let from = flat.sightings.len();
+            for observation in track.observations.iter().filter(|observation| keep(observation.posture)) {
+                if std::mem::replace(&mut last_track[observation.posture], index) == index {
+                    repeated += 1;
+                    continue;
+                }
+                flat.sightings.push(Sighting {
+                    posture: observation.posture as u32,
+                    depth_m: observation.depth_m.unwrap_or(0.0),
+                    pixel: observation.pixel,
+                    whitener: whitener(&observation.covariance),
+                });
+            }
+            if flat.sightings.len() - from < 2 {
+                flat.sightings.truncate(from);
+            } else {
+                flat.offsets.push(flat.sightings.len());
+            }
+        }
+        if repeated > 0 {
+            warnings.push(Warning::RepeatedPosture { observations: repeated });
+        }
+        let mut corner_tracks: Vec<((u32, u32), Vec<Sighting>)> = Vec::new();
+        for board_seen in data.boards.iter().filter(|board| keep(board.posture)) {
+            let posture = board_seen.posture;
+            let error = |reason: String| CalibrationError::Board { posture, reason };
+            let board = rig.board.as_ref().ok_or_else(|| error("the rig has no [board]".to_owned()))?;
+            for &(column, row, pixel) in &board_seen.corners {
+                if column >= board.columns || row >= board.rows {
+                    let (columns, rows) = (board.columns, board.rows);
+                    return Err(error(format!("corner ({column}, {row}) is not on a board of {columns} x {rows}")));
+                }
+                let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
+                let sighting = Sighting { posture: posture as u32, depth_m: 0.0, pixel, whitener: [1.0, 0.0, 1.0] };
+                flat.corners.push(CornerSighting { sighting, point_in_board });
+                match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
+                    Ok(at) => corner_tracks[at].1.push(sighting),
+                    Err(at) => corner_tracks.insert(at, ((row, column), vec![sighting])),
+                }
+            }
+        }
+        let square = rig.board.as_ref().map_or(0.0, |board| board.square_m);
+        flat.corner_tracks = corner_tracks
+            .into_iter()
+            .filter(|(_, sightings)| sightings.len() >= 2)
+            .map(|((row, column), s)| (Point3::new(f64::from(column), f64::from(row), 0.0) * square, s))
+            .collect();
+        Ok(flat)
+    }
+
+    pub(crate) fn track_count(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    pub(crate) fn track(&self, index: usize) -> &[Sighting] {
+        &self.sightings[self.offsets[index]..self.offsets[index + 1]]
+    }
+
+    /// Sights with a depth.
+    pub(crate) fn depth_count(&self) -> usize {
+        self.sightings.iter().filter(|sighting| sighting.depth_m > 0.0).count()
+    }
+
+    /// The same without the tracks that `keep` refuses.
+    pub(crate) fn retain_tracks(&mut self, keep: &[bool]) {
+        let mut offsets = vec![0];
+        let mut sightings = Vec::with_capacity(self.sightings.len());
+        for (index, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
+            sightings.extend_from_slice(self.track(index));
+            offsets.push(sightings.len());
+        }
+        self.offsets = offsets;
+        self.sightings = sightings;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whitening_makes_unit_variance() {
+        let covariance = Matrix2::new(4.0, 0.6, 0.6, 0.5);
+        let [a, b, c] = whitener(&covariance);
+        let w = Matrix2::new(a, b, 0.0, c);
+        assert!((w * covariance * w.transpose() - Matrix2::identity()).amax() < 1e-12);
+    }
+}

@@ -1,0 +1,418 @@
+//! The estimator from start to result: find the way pairwise, adjust everything, estimate the noise, leave out what does not belong.
+
+use crate::bundle::adjust::{Adjustment, marginal, posed_state, variances};
+use crate::bundle::noise::{self, OUTLIER_SIGMAS, efficiency_factor, posture_fits, rescaled};
+use crate::bundle::observations::Observations;
+use crate::bundle::reduced::ResidualSize;
+use crate::bundle::start::pairs_from_tracks;
+use crate::bundle::state::{NoiseScales, State};
+use crate::error_function::epipolar_statistics;
+use crate::identifiability::identify;
+use crate::motion::Motion;
+use crate::prior::{self, Priors};
+use crate::robust::median;
+use crate::{
+    Calibration, CalibrationError, Correspondences, Free, Loss, Model, Noise, PairMatches, PairwiseOptions, Parameter,
+    PostureFit, PriorPolicy, ReprojectionStatistics, Termination, Warning, calibrate_pairwise, uncertainty,
+};
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+use skclam_rig::Rig;
+
+/// What is done about joints that stand off their values.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviationPolicy {
+    /// Joint values are exact.
+    Off,
+    /// They deviate with this sigma, degrees.
+    SigmaDeg(f64),
+    /// They deviate; the rig's `joint_deviation_deg` is their sigma, or it is estimated.
+    #[default]
+    Estimated,
+}
+
+/// Settings of the bundle adjustment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BundleOptions {
+    /// What is free.
+    pub free: Free,
+    /// Which priors are heard.
+    pub priors: PriorPolicy,
+    /// The loss; its constant in sigmas.
+    pub loss: Loss,
+    /// What is done about joints that stand off their values.
+    pub deviations: DeviationPolicy,
+    /// Iterations of one round at most.
+    pub max_iterations: usize,
+    /// Rounds (re-estimations of the noise) at most.
+    pub max_rounds: usize,
+    /// Unknown deviations at most; beyond, they are left at zero with a warning.
+    pub max_deviations: usize,
+    /// Whether postures that do not fit are left out, or only named.
+    pub leave_out_suspects: bool,
+}
+
+impl Default for BundleOptions {
+    fn default() -> Self {
+        BundleOptions {
+            free: Free::Auto,
+            priors: PriorPolicy::Auto,
+            loss: Loss::Tukey(7.0),
+            deviations: DeviationPolicy::Estimated,
+            max_iterations: 40,
+            max_rounds: 12,
+            max_deviations: 1200,
+            leave_out_suspects: true,
+        }
+    }
+}
+
+/// Matches that the pairwise start looks at.
+const START_MATCHES: usize = 20_000;
+/// Sigma of the deviations before the data are heard, rad (0.003 deg).
+const FIRST_DEVIATION: f64 = 5.2e-5;
+/// Deviations below this cannot be told from none, rad.
+const LEAST_DEVIATION: f64 = 1e-6;
+/// `s` of `sigma = s z^2` before the data are heard, 1/m.
+const FIRST_DEPTH: f64 = 0.01;
+/// The noise has settled when it changes by less than this fraction.
+const SETTLED: f64 = 0.01;
+
+/// A posture is suspect when so many of its sights are outliers, and so many more than everywhere.
+const SUSPECT_FRACTION: f64 = 0.5;
+const SUSPECT_EXCESS: f64 = 0.25;
+/// Or when its median residual is so many times that of the median posture.
+const SUSPECT_MEDIAN: f64 = 3.0;
+
+struct Adjusted {
+    state: State,
+    noise: NoiseScales,
+    observations: Observations,
+    sizes: Vec<ResidualSize>,
+    termination: Termination,
+}
+
+/// Adjusts the free parameters, the scene points, the board's pose and the joint deviations together.
+pub fn calibrate_bundle(
+    nominal: &Rig,
+    data: &Correspondences,
+    options: &BundleOptions,
+) -> Result<Calibration, CalibrationError> {
+    data.check()?;
+    let mut warnings = Vec::new();
+    let motion = Motion::new(nominal, &data.postures)?;
+    let all = Observations::new(nominal, data, &|_| true, &mut warnings)?;
+    let parameters = options.free.candidates(nominal, motion.has_joints(), all.depth_count() > 0)?;
+    if parameters.is_empty() {
+        return Err(CalibrationError::NothingFree);
+    }
+    if !motion.has_joints() {
+        warnings.push(Warning::FlangePosesOnly);
+    }
+    let residuals = 2 * all.sightings.len() + all.depth_count() + 2 * all.corners.len();
+    let freedom = residuals.saturating_sub(3 * all.track_count() + if all.corners.is_empty() { 0 } else { 6 });
+    let need = 2 * parameters.len();
+    if freedom < need {
+        let what = "residuals of tracks and board corners (beyond those that their own points take)".to_owned();
+        return Err(CalibrationError::TooFew { what, need, got: freedom, parameters: parameters.len() });
+    }
+    let priors = Priors { sigmas: prior::sigmas(nominal, &options.free, options.priors, &parameters) };
+    let (joints, first_deviation) = deviation_unknowns(nominal, &motion, options, &mut warnings);
+
+    let (start, pixel) = start(nominal, data, &all, &parameters)?;
+    let noise = NoiseScales { pixel, depth: FIRST_DEPTH, deviation: first_deviation };
+    let solve = Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options };
+    let mut adjusted = solve.adjust(&start, noise, joints, all)?;
+    let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
+    let suspects = suspects(&fits);
+    if !suspects.is_empty() && options.leave_out_suspects {
+        let keep = |posture: usize| !suspects.contains(&posture);
+        let rest = Observations::new(nominal, data, &keep, &mut Vec::new())?;
+        adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, rest)?;
+        let told: Vec<PostureFit> = suspects.iter().map(|&posture| fits[posture]).collect();
+        fits = posture_fits(&adjusted.sizes, data.postures.len());
+        suspects.iter().zip(told).for_each(|(&posture, fit)| fits[posture] = fit);
+    }
+    warnings.extend(suspects.iter().map(|&posture| Warning::SuspectPosture {
+        posture,
+        index: data.postures[posture].index,
+        outlier_fraction: fits[posture].outliers as f64 / fits[posture].observations.max(1) as f64,
+        median_sigmas: fits[posture].median_sigmas,
+        left_out: options.leave_out_suspects,
+    }));
+    let unseen = fits.iter().enumerate().filter(|(_, fit)| fit.observations == 0);
+    warnings.extend(unseen.map(|(posture, _)| Warning::UnseenPosture { posture, index: data.postures[posture].index }));
+    solve.conclude(data, adjusted, fits, joints, warnings)
+}
+
+struct Solve<'a> {
+    nominal: &'a Rig,
+    motion: &'a Motion,
+    parameters: &'a [Parameter],
+    priors: &'a Priors,
+    options: &'a BundleOptions,
+}
+
+impl Solve<'_> {
+    fn adjustment<'b>(&'b self, observations: &'b Observations, noise: NoiseScales, loss: Loss) -> Adjustment<'b> {
+        Adjustment {
+            nominal: self.nominal,
+            motion: self.motion,
+            observations,
+            parameters: self.parameters,
+            priors: self.priors,
+            loss,
+            noise,
+        }
+    }
+
+    fn estimates_deviations(&self) -> bool {
+        self.options.deviations == DeviationPolicy::Estimated && self.nominal.prior.joint_deviation_deg.is_none()
+    }
+
+    /// Triangulates, then descends in rounds until the noise has settled.
+    fn adjust(
+        &self,
+        start: &Model,
+        mut noise: NoiseScales,
+        joints: usize,
+        mut observations: Observations,
+    ) -> Result<Adjusted, CalibrationError> {
+        let loss = self.options.loss;
+        let deviations = vec![0.0; joints * self.motion.len()];
+        let mut state = posed_state(start, deviations, self.motion, &observations, &noise, loss)?;
+        let points = self.adjustment(&observations, noise, Loss::Cauchy(2.0)).triangulate(&state);
+        observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
+        state.points = points.into_iter().flatten().collect();
+        let unknown_count = self.parameters.len() + 6 * usize::from(state.base_from_board.is_some());
+        let mut sizes = self.adjustment(&observations, noise, loss).residual_sizes(&state);
+        noise = rescaled(&sizes, &noise, 1.0);
+        let (mut iterations, mut evaluations, mut rounds) = (0, 0, 0);
+        let mut initial_cost = None;
+        let (reason, final_cost) = loop {
+            rounds += 1;
+            let adjustment = self.adjustment(&observations, noise, loss);
+            let descent = adjustment.descend(state, self.options.max_iterations)?;
+            iterations += descent.iterations;
+            evaluations += descent.evaluations;
+            initial_cost.get_or_insert(descent.initial_cost);
+            state = descent.state;
+            sizes = adjustment.residual_sizes(&state);
+            let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
+            let mut next = rescaled(&sizes, &noise, 1.0 - unknown_count as f64 / freedom.max(1.0));
+            if joints > 0 && self.estimates_deviations() {
+                next.deviation = self.deviation_sigma(&adjustment, &state)?.max(LEAST_DEVIATION);
+            }
+            let change = |old: f64, new: f64| (new / old - 1.0).abs();
+            let deviation_settled = next.deviation <= LEAST_DEVIATION && noise.deviation <= LEAST_DEVIATION
+                || change(noise.deviation, next.deviation) < 5.0 * SETTLED;
+            let settled = change(noise.pixel, next.pixel) < SETTLED
+                && change(noise.depth, next.depth) < SETTLED
+                && deviation_settled;
+            if settled || rounds >= self.options.max_rounds {
+                break (descent.reason, descent.cost);
+            }
+            noise = next;
+        };
+        let initial_cost = initial_cost.unwrap_or_default();
+        let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };
+        Ok(Adjusted { state, noise, observations, sizes, termination })
+    }
+
+    /// The sigma under which the deviations are most likely (MacKay, "Bayesian interpolation", 1992): their squares over the number of
+    /// them that the data determine.
+    fn deviation_sigma(&self, adjustment: &Adjustment<'_>, state: &State) -> Result<f64, CalibrationError> {
+        let mut information = adjustment.information(state)?;
+        let mut ignored = DVector::zeros(information.nrows());
+        self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut ignored);
+        let prior = adjustment.noise.deviation;
+        let Some(variances) = variances(&information) else { return Ok(prior) };
+        let first = information.nrows() - state.deviations.len();
+        let determined: f64 =
+            (first..information.nrows()).map(|k| (1.0 - variances[k] / (prior * prior)).clamp(0.0, 1.0)).sum();
+        let squares: f64 = state.deviations.iter().map(|d| d * d).sum();
+        if determined < 0.5 { Ok(prior) } else { Ok((squares / determined).sqrt()) }
+    }
+
+    fn conclude(
+        &self,
+        data: &Correspondences,
+        adjusted: Adjusted,
+        fits: Vec<PostureFit>,
+        joints: usize,
+        mut warnings: Vec<Warning>,
+    ) -> Result<Calibration, CalibrationError> {
+        let Adjusted { state, noise, observations, sizes, termination } = adjusted;
+        let loss = self.options.loss;
+        if !termination.reason.is_converged() {
+            warnings.push(Warning::NotConverged { reason: termination.reason.to_string() });
+        }
+        let count = self.parameters.len();
+        let adjustment = self.adjustment(&observations, noise, loss);
+        let information = marginal(&adjustment.information(&state)?, count);
+        let mut posterior = &information / efficiency_factor(&sizes, loss);
+        let mut ignored = DVector::zeros(count);
+        self.priors.add_to(self.nominal, &state.model, self.parameters, &mut posterior, &mut ignored);
+        let covariance = uncertainty::covariance(&posterior, self.parameters);
+        let identifiability = identify(&state.model, &data.postures, self.parameters, &information);
+        let estimates = uncertainty::estimates(
+            self.nominal,
+            &state.model,
+            self.parameters,
+            &self.priors.sigmas,
+            &covariance,
+            &identifiability,
+        );
+        let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
+        let outlier_fraction = outliers as f64 / sizes.len().max(1) as f64;
+        if outlier_fraction > 0.5 {
+            warnings.push(Warning::ManyOutliers { fraction: outlier_fraction });
+        }
+        let nominal_model = Model::new(self.nominal.clone());
+        let before = evaluate(self.nominal, &nominal_model, self.motion, &observations, noise, loss, Some(&state))?;
+        Ok(Calibration {
+            parameters: estimates,
+            covariance: Some(covariance),
+            identifiability: Some(identifiability),
+            epipolar_before: epipolar_statistics(&nominal_model, data)?,
+            epipolar_after: epipolar_statistics(&state.model, data)?,
+            reprojection_before: Some(over_inliers(&before, &sizes)),
+            reprojection_after: Some(noise::statistics(&sizes)),
+            noise: Noise {
+                pixel: noise.pixel,
+                depth_per_m: (observations.depth_count() > 0).then_some(noise.depth),
+                joint_deviation: (joints > 0).then_some(noise.deviation),
+                outlier_fraction,
+            },
+            postures: fits,
+            joint_deviations: state.deviations.chunks(joints.max(1)).map(<[f64]>::to_vec).collect(),
+            termination,
+            warnings,
+            model: state.model,
+        })
+    }
+}
+
+/// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be triangulated take the point of
+/// `fallback`.
+pub(crate) fn evaluate(
+    nominal: &Rig,
+    model: &Model,
+    motion: &Motion,
+    observations: &Observations,
+    noise: NoiseScales,
+    loss: Loss,
+    fallback: Option<&State>,
+) -> Result<Vec<ResidualSize>, CalibrationError> {
+    let priors = Priors { sigmas: Vec::new() };
+    let adjustment = Adjustment { nominal, motion, observations, parameters: &[], priors: &priors, loss, noise };
+    let mut state = posed_state(model, Vec::new(), motion, observations, &noise, loss)?;
+    if state.base_from_board.is_none() && !observations.corners.is_empty() {
+        state.base_from_board = fallback.and_then(|state| state.base_from_board);
+    }
+    let wide = Adjustment { loss: Loss::Cauchy(20.0), ..adjustment };
+    let points = wide.triangulate(&state).into_iter().enumerate();
+    state.points = points
+        .map(|(track, point)| point.or_else(|| fallback.map(|state| state.points[track])).unwrap_or_default())
+        .collect();
+    let state = if state.base_from_board.is_some() { wide.descend(state, 50)?.state } else { state };
+    Ok(wide.residual_sizes(&state))
+}
+
+/// RMS over the sights that fit the calibrated model, so that before and after speak of the same; median over all.
+fn over_inliers(before: &[ResidualSize], after: &[ResidualSize]) -> ReprojectionStatistics {
+    let kept = before.iter().zip(after).filter(|(b, a)| a.pixel < OUTLIER_SIGMAS && b.distance_px.is_finite());
+    let squares: Vec<f64> = kept.map(|(b, _)| b.distance_px * b.distance_px).collect();
+    ReprojectionStatistics {
+        rms_px: (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt(),
+        median_px: median(&mut before.iter().map(|b| b.distance_px).collect::<Vec<_>>()),
+        observations: before.len(),
+        inliers: squares.len(),
+    }
+}
+
+/// How many joints deviate, and with which sigma at first.
+fn deviation_unknowns(
+    nominal: &Rig,
+    motion: &Motion,
+    options: &BundleOptions,
+    warnings: &mut Vec<Warning>,
+) -> (usize, f64) {
+    let stated = nominal.prior.joint_deviation_deg;
+    let sigma = match options.deviations {
+        DeviationPolicy::Off => return (0, FIRST_DEVIATION),
+        DeviationPolicy::SigmaDeg(deg) => deg.to_radians(),
+        DeviationPolicy::Estimated => stated.map_or(FIRST_DEVIATION, f64::to_radians),
+    };
+    let joints = if motion.has_joints() { nominal.robot.as_ref().map_or(0, |robot| robot.joint_count()) } else { 0 };
+    let unknowns = joints * motion.len();
+    if sigma <= 0.0 || joints == 0 {
+        return (0, FIRST_DEVIATION);
+    }
+    if unknowns > options.max_deviations {
+        warnings.push(Warning::DeviationsOff { unknowns, limit: options.max_deviations });
+        return (0, FIRST_DEVIATION);
+    }
+    (joints, sigma)
+}
+
+/// A model near enough for the descent, and the noise of its matches. Without enough pair matches it is the nominal one.
+fn start(
+    nominal: &Rig,
+    data: &Correspondences,
+    observations: &Observations,
+    parameters: &[Parameter],
+) -> Result<(Model, f64), CalibrationError> {
+    let mut pairs = if data.pairs.is_empty() { pairs_from_tracks(observations) } else { data.pairs.clone() };
+    let total: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
+    let stride = total.div_ceil(START_MATCHES).max(1);
+    for PairMatches { matches, .. } in &mut pairs {
+        let mut at = 0;
+        matches.retain(|_| {
+            at += 1;
+            (at - 1) % stride == 0
+        });
+    }
+    let free = parameters.iter().copied().filter(|p| !matches!(p, Parameter::DepthScale | Parameter::DepthOffset));
+    let options = PairwiseOptions {
+        free: Free::List(free.collect()),
+        priors: PriorPolicy::Always,
+        max_rounds: 12,
+        cost_tolerance: 1e-8,
+        ..Default::default()
+    };
+    let sample = Correspondences { postures: data.postures.clone(), pairs, ..Default::default() };
+    match calibrate_pairwise(nominal, &sample, &options) {
+        Ok(found) if found.epipolar_after.median_sampson_px < found.epipolar_before.median_sampson_px => {
+            // A Sampson distance has the sigma of a coordinate.
+            Ok((found.model, found.noise.pixel.max(1e-3)))
+        }
+        Ok(found) => Ok((Model::new(nominal.clone()), found.noise.pixel.max(1.0))),
+        Err(CalibrationError::TooFew { .. } | CalibrationError::NothingFree) => Ok((Model::new(nominal.clone()), 2.0)),
+        Err(error) => Err(error),
+    }
+}
+
+/// Postures that fit far worse than the others; never more than a fifth of them.
+fn suspects(fits: &[PostureFit]) -> Vec<usize> {
+    let seen: Vec<(usize, &PostureFit)> = fits.iter().enumerate().filter(|(_, fit)| fit.observations >= 8).collect();
+    let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
+    let usual_fraction = median(&mut seen.iter().map(|(_, fit)| fraction(fit)).collect::<Vec<_>>());
+    let usual_median = median(&mut seen.iter().map(|(_, fit)| fit.median_sigmas).collect::<Vec<_>>());
+    let mut bad: Vec<(f64, usize)> = seen
+        .iter()
+        .filter(|(_, fit)| {
+            let excess = fraction(fit) - usual_fraction;
+            fraction(fit) > SUSPECT_FRACTION && excess > SUSPECT_EXCESS
+                || fit.median_sigmas > SUSPECT_MEDIAN * usual_median.max(1.0)
+        })
+        .map(|(posture, fit)| (fraction(fit), *posture))
+        .collect();
+    bad.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    bad.truncate(fits.len() / 5);
+    let mut postures: Vec<usize> = bad.into_iter().map(|(_, posture)| posture).collect();
+    postures.sort_unstable();
+    postures
+}

@@ -1,0 +1,100 @@
+//! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid into its corners.
+
+use crate::bundle::observations::{Observations, Sighting};
+use crate::bundle::reduced::track_chunks;
+use crate::bundle::triangulate::View;
+use crate::robust::median;
+use crate::{PairMatch, PairMatches};
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use skclam_geometry::{Isometry3, Point3};
+
+/// Pairs of a track that are told as matches.
+const PAIRS_A_TRACK: usize = 6;
+
+/// Pair matches from tracks and board corners: of a track of k sights, up to six pairs, near ones and wide ones.
+pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches> {
+    let mut by_pair: Vec<Vec<PairMatch>> = vec![Vec::new(); observations.postures * observations.postures];
+    let mut tell = |track: &[Sighting]| {
+        let count = track.len();
+        let pairs: Vec<(usize, usize)> = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b))).collect();
+        for (a, b) in pairs.iter().step_by(pairs.len().div_ceil(PAIRS_A_TRACK).max(1)) {
+            let (mut a, mut b) = (&track[*a], &track[*b]);
+            if a.posture == b.posture {
+                continue;
+            }
+            if a.posture > b.posture {
+                std::mem::swap(&mut a, &mut b);
+            }
+            by_pair[a.posture as usize * observations.postures + b.posture as usize].push(PairMatch {
+                in_a: a.pixel,
+                in_b: b.pixel,
+                sigma_px: 1.0,
+                distance: 0,
+            });
+        }
+    };
+    (0..observations.track_count()).for_each(|track| tell(observations.track(track)));
+    observations.corner_tracks.iter().for_each(|(_, track)| tell(track));
+    by_pair
+        .into_iter()
+        .enumerate()
+        .filter(|(_, matches)| !matches.is_empty())
+        .map(|(at, matches)| PairMatches { a: at / observations.postures, b: at % observations.postures, matches })
+        .collect()
+}
+
+/// A point for every track; `None` for those that cannot be had.
+pub(crate) fn triangulate_all(observations: &Observations, view: &View<'_>) -> Vec<Option<Point3>> {
+    let chunks = track_chunks(observations);
+    let of_chunk = |&(from, to): &(usize, usize)| -> Vec<Option<Point3>> {
+        (from..to).map(|track| view.triangulate(observations.track(track))).collect()
+    };
+    chunks.par_iter().map(of_chunk).collect::<Vec<_>>().concat()
+}
+
+/// Lays the board into its triangulated corners (Kabsch 1976), the worst fitting third left out in a second pass.
+pub(crate) fn place_board(observations: &Observations, view: &View<'_>) -> Option<Isometry3> {
+    let corners: Vec<(Point3, Point3)> = observations
+        .corner_tracks
+        .iter()
+        .filter_map(|(in_board, track)| Some((*in_board, view.triangulate(track)?)))
+        .collect();
+    let first = align(&corners)?;
+    let error = |corner: &(Point3, Point3)| (first * corner.0 - corner.1).norm();
+    let mut errors: Vec<f64> = corners.iter().map(error).collect();
+    let gate = 2.0 * median(&mut errors) + 1e-12;
+    align(&corners.iter().filter(|corner| error(corner) <= gate).copied().collect::<Vec<_>>()).or(Some(first))
+}
+
+fn align(corners: &[(Point3, Point3)]) -> Option<Isometry3> {
+    if corners.len() < 3 {
+        return None;
+    }
+    let count = corners.len() as f64;
+    let mean = |pick: &dyn Fn(&(Point3, Point3)) -> Point3| {
+        corners.iter().map(|corner| pick(corner).coords).sum::<Vector3<f64>>() / count
+    };
+    let (from, to) = (mean(&|c| c.0), mean(&|c| c.1));
+    let covariance: Matrix3<f64> = corners.iter().map(|(a, b)| (b.coords - to) * (a.coords - from).transpose()).sum();
+    let svd = covariance.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let handedness = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * handedness * v_t);
+    let rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
+    Some(Isometry3::from_parts((to - rotation * from).into(), rotation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_of_corners_is_aligned() {
+        let pose = Isometry3::new(Vector3::new(0.3, -0.2, 0.9), Vector3::new(2.0, 0.4, -1.0));
+        let corner = |k: i32| Point3::new(f64::from(k % 4) * 0.02, f64::from(k / 4) * 0.03, 0.0);
+        let corners: Vec<_> = (0..12).map(|k| (corner(k), pose * corner(k))).collect();
+        let found = align(&corners).unwrap();
+        assert!((found.to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,234 @@
+//! The whole adjustment on image-free recordings.
+
+use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::observations::Observations;
+use crate::bundle::state::NoiseScales;
+use crate::motion::Motion;
+use crate::prior::Priors;
+use crate::synthetic::{
+    Errors, Sensing, camera_error, diverse_postures, half_pixel, hp3j, manufacture, perturbed, record, record_board,
+    room, seeded,
+};
+use crate::{
+    BundleOptions, Calibration, Correspondences, DeviationPolicy, Free, Loss, Model, Parameter, PriorPolicy,
+    UnseenCause, Warning, calibrate_bundle,
+};
+use nalgebra::{DVector, Vector3};
+use skclam_geometry::Isometry3;
+use skclam_rig::{PostureState, Rig};
+
+fn rgbd() -> Sensing {
+    Sensing { depth_relative: Some(0.0044), ..half_pixel() }
+}
+
+fn exact() -> Sensing {
+    Sensing { sigma_px: 0.0, depth_relative: Some(0.0), ..half_pixel() }
+}
+
+fn recording(errors: Errors, postures: usize, points: usize, sensing: Sensing, seed: u64) -> (Rig, Correspondences) {
+    let mut rng = seeded(seed);
+    let truth = perturbed(&hp3j(), &Free::Auto, errors, &mut rng);
+    let postures = diverse_postures(&hp3j(), postures, &mut rng);
+    let points = room(points, &mut rng);
+    let data = record(&truth, &postures, &points, sensing, &mut rng);
+    (truth, data)
+}
+
+fn largest_error_in_sigmas(result: &Calibration, truth: &Rig) -> f64 {
+    let truth = Model::new(truth.clone());
+    let error =
+        |e: &crate::ParameterEstimate| (e.value - truth.value(&hp3j(), e.parameter).unwrap()) / e.sigma.unwrap();
+    result.parameters.iter().map(error).fold(0.0, |a, b| a.max(b.abs()))
+}
+
+#[test]
+fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
+    let (truth, mut data) = recording(manufacture(), 6, 400, exact(), 3);
+    let mut rng = seeded(4);
+    // A board far below the arm that some cameras see.
+    let base_from_board = Isometry3::new(Vector3::new(0.4, 0.1, -0.3), Vector3::new(0.0, 0.3, 0.2));
+    let mut nominal = hp3j();
+    let (board, boards) = record_board(&truth, &data.postures, &base_from_board, 0.0, &mut rng);
+    nominal.board = Some(board.clone());
+    data.boards = boards;
+    let motion = Motion::new(&nominal, &data.postures).unwrap();
+    let observations = Observations::new(&nominal, &data, &|_| true, &mut Vec::new()).unwrap();
+    let mut parameters = Free::All.candidates(&nominal, true, true).unwrap();
+    parameters.push(Parameter::GearSin(2));
+    let priors = Priors { sigmas: vec![None; parameters.len()] };
+    let noise = NoiseScales { pixel: 0.5, depth: 0.005, deviation: 1e-3 };
+    let adjustment = Adjustment {
+        nominal: &nominal,
+        motion: &motion,
+        observations: &observations,
+        parameters: &parameters,
+        priors: &priors,
+        loss: Loss::Squared,
+        noise,
+    };
+    let at = |model: &Model| {
+        let mut state = posed_state(model, Vec::new(), &motion, &observations, &noise, Loss::Squared).unwrap();
+        state.base_from_board = None;
+        let view_state = state.clone();
+        let view = view_state.view(&noise, Loss::Squared);
+        state.points = adjustment
+            .triangulate(&state)
+            .into_iter()
+            .enumerate()
+            .map(|(track, point)| view.refine(observations.track(track), point.unwrap()))
+            .collect();
+        state
+    };
+    let cost = |model: &Model| adjustment.cost_of(&at(model));
+    let count = parameters.len();
+    let exact_model = Model::new(truth.clone());
+    let information = marginal(&adjustment.information(&at(&exact_model)).unwrap(), count);
+    let mut moved = exact_model.clone();
+    moved.rig.flange_from_color.translation.vector.x += 1e-4;
+    let descent = adjustment.descent_of(&at(&moved)).unwrap();
+    let largest =
+        |values: &DVector<f64>| values.iter().zip(&parameters).map(|(x, p)| (x * p.scale()).abs()).fold(0.0, f64::max);
+    let scale = largest(&descent);
+    for (k, &parameter) in parameters.iter().enumerate() {
+        let step = 1e-4 * parameter.scale();
+        let stepped = |model: &Model, s: f64| cost(&model.stepped(&[parameter], &[s]).unwrap());
+        let slope = (stepped(&moved, step) - stepped(&moved, -step)) / (2.0 * step);
+        let error = (slope + descent[k]).abs() * parameter.scale();
+        assert!(error < 1e-4 * scale, "{parameter}: {slope} {}", descent[k]);
+        // At exact data the cost is a parabola whose curvature is the information.
+        let bend = (stepped(&exact_model, step) + stepped(&exact_model, -step)) / (step * step);
+        let seen = information[(k, k)];
+        let unit = parameter.scale() * parameter.scale();
+        assert!((bend - seen).abs() * unit < 1e-3 * (seen * unit + 1.0), "{parameter}: {bend} {seen}");
+    }
+}
+
+#[test]
+fn exact_data_are_fitted_exactly() {
+    let (truth, data) = recording(manufacture(), 20, 2500, exact(), 1);
+    let options = BundleOptions {
+        free: Free::parse("arm,mount", &hp3j()).unwrap(),
+        deviations: DeviationPolicy::Off,
+        ..Default::default()
+    };
+    let mut free = Free::Auto.candidates(&hp3j(), true, false).unwrap();
+    free.push(Parameter::DepthOffset);
+    let result =
+        calibrate_bundle(&hp3j(), &data, &BundleOptions { free: Free::List(free), ..options.clone() }).unwrap();
+    assert!(camera_error(&truth, &result.model.rig, &data.postures) < 1e-8, "{}", result.termination);
+    assert!(result.reprojection_after.unwrap().rms_px < 1e-4);
+    assert!(result.reprojection_before.unwrap().rms_px > 1.0);
+    // With the gauge free as well the cameras are right up to the base's own motion, and the rank tells.
+    let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
+    let identifiability = result.identifiability.unwrap();
+    assert_eq!(identifiability.rank, 24, "{:?}", identifiability.singular_values);
+    let causes = |cause| identifiability.unseen.iter().filter(|direction| direction.cause == cause).count();
+    assert_eq!((causes(UnseenCause::BaseEnd), causes(UnseenCause::HandEnd)), (4, 2));
+}
+
+#[test]
+fn noisy_rgbd_is_fitted_within_its_sigmas() {
+    let (truth, data) = recording(manufacture(), 40, 4000, rgbd(), 2);
+    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
+    let list: Vec<_> = result.parameters.iter().filter(|e| e.sigma.is_none()).collect();
+    assert!(list.is_empty(), "{list:?}");
+    let mut told = result.clone();
+    told.parameters.retain(|e| e.parameter != Parameter::DepthOffset);
+    assert!(largest_error_in_sigmas(&told, &truth) < 4.0, "{:#?}", result.parameters);
+    assert!((result.noise.pixel - 0.5).abs() < 0.02, "{:?}", result.noise);
+    assert!((result.noise.depth_per_m.unwrap() - 0.0044).abs() < 2e-4, "{:?}", result.noise);
+    let error = camera_error(&truth, &result.model.rig, &data.postures);
+    assert!(error < 2e-4, "{error}");
+}
+
+#[test]
+fn encoder_noise_is_estimated() {
+    let encoder = 0.01f64.to_radians();
+    let (truth, data) = recording(manufacture(), 30, 4000, Sensing { encoder, ..rgbd() }, 5);
+    let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
+    let found = result.noise.joint_deviation.unwrap();
+    assert!((found / encoder - 1.0).abs() < 0.3, "{} deg", found.to_degrees());
+    assert_eq!(result.joint_deviations.len(), 30);
+    let error = camera_error(&truth, &result.model.rig, &data.postures);
+    assert!(error < 4e-4, "{error}");
+}
+
+#[test]
+fn rgb_alone_holds_the_scale_by_priors_and_says_so() {
+    let (truth, data) = recording(manufacture(), 30, 4000, half_pixel(), 6);
+    let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
+    let identifiability = result.identifiability.as_ref().unwrap();
+    assert_eq!(identifiability.rank, 23);
+    assert_eq!(identifiability.unseen[0].cause, UnseenCause::Scale, "{:?}", identifiability.unseen);
+    let error = camera_error(&truth, &result.model.rig, &data.postures);
+    assert!(error < 2e-3, "{error}");
+}
+
+#[test]
+fn wrong_sights_and_a_wrong_posture_do_not_move_it() {
+    let (truth, mut data) = recording(manufacture(), 30, 5000, Sensing { outliers: 0.4, keypoints: 700, ..rgbd() }, 7);
+    let PostureState::Joints(values) = &mut data.postures[11].state else { panic!() };
+    values[2] += 0.5f64.to_radians();
+    let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
+    let named: Vec<_> = result
+        .warnings
+        .iter()
+        .filter_map(|w| match w {
+            Warning::SuspectPosture { posture, left_out: true, .. } => Some(*posture),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(named, [11], "{:?}", result.warnings);
+    data.postures.remove(11);
+    let error = camera_error(&truth, &result.model.rig, &data.postures);
+    assert!(error < 4e-4, "{error}");
+    assert!((result.noise.pixel - 0.5).abs() < 0.05, "{:?}", result.noise);
+}
+
+#[test]
+fn a_board_alone_gives_the_arm_its_scale() {
+    let mut rng = seeded(8);
+    let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
+    let base_from_board = Isometry3::new(Vector3::new(0.6, -0.08, 0.0), Vector3::new(0.0, 0.0, 0.3));
+    // Postures that see the board: draw many, keep those.
+    let drawn = diverse_postures(&hp3j(), 3000, &mut rng);
+    let (board, seen) = record_board(&truth, &drawn, &base_from_board, 0.1, &mut rng);
+    let front = Isometry3::new(Vector3::zeros(), Vector3::new(std::f64::consts::PI, 0.0, 0.0));
+    assert!(front.rotation.angle() > 3.0);
+    let mut data = Correspondences::default();
+    for observation in seen.into_iter().take(30) {
+        let posture = data.postures.len();
+        data.postures.push(drawn[observation.posture].clone());
+        data.boards.push(crate::BoardObservation { posture, ..observation });
+    }
+    assert_eq!(data.postures.len(), 30);
+    let mut nominal = hp3j();
+    nominal.board = Some(board);
+    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let result = calibrate_bundle(&nominal, &data, &options).unwrap();
+    assert!((result.noise.pixel - 0.1).abs() < 0.01, "{:?} {}", result.noise, result.termination);
+    assert!(largest_error_in_sigmas(&result, &truth) < 5.0, "{:#?}", result.parameters);
+    assert!(result.reprojection_after.unwrap().rms_px < 0.16);
+    data.boards[3].corners[5].0 = 99;
+    assert!(calibrate_bundle(&nominal, &data, &options).unwrap_err().to_string().contains("(99, 0)"));
+}
+
+#[test]
+fn one_thread_or_two_give_the_same_bytes() {
+    let (_, data) = recording(manufacture(), 12, 1500, rgbd(), 9);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap())
+    };
+    assert_eq!(on(1), on(2));
+}
+
+#[test]
+fn too_little_is_an_error_with_numbers() {
+    let (_, mut data) = recording(manufacture(), 3, 40, half_pixel(), 10);
+    data.tracks.truncate(5);
+    let options = BundleOptions { priors: PriorPolicy::Never, ..Default::default() };
+    let error = calibrate_bundle(&hp3j(), &data, &options).unwrap_err().to_string();
+    assert!(error.contains("at least 48"), "{error}");
+}

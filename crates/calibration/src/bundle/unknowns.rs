@@ -1,0 +1,184 @@
+//! From camera poses to the numbers that move them: parameters, the board's pose, joint deviations.
+
+use crate::bundle::reduced::{CameraStep, DEPTH_OFFSET, DEPTH_SCALE, PoseSystem, SHARED};
+use crate::bundle::state::State;
+use crate::motion::{CameraMotion, Motion};
+use crate::{CalibrationError, Parameter};
+use nalgebra::{DMatrix, DVector, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
+use rayon::prelude::*;
+use skclam_geometry::Isometry3;
+
+/// What is unknown, in this order: the parameters, six numbers of the board, deviations joint by joint and posture by posture.
+pub(crate) struct Unknowns<'a> {
+    pub parameters: &'a [Parameter],
+    pub board: bool,
+    /// Joints whose deviations are unknown; 0 for none.
+    pub joints: usize,
+    pub postures: usize,
+}
+
+/// Columns of camera motion at a state.
+pub(crate) struct Columns {
+    /// A posture: 6 x parameters.
+    by_parameter: Vec<DMatrix<f64>>,
+    /// A posture: 6 x joints.
+    by_joint: Vec<DMatrix<f64>>,
+    /// Which shared number a parameter is.
+    shared: Vec<Option<usize>>,
+}
+
+impl Unknowns<'_> {
+    pub(crate) fn count(&self) -> usize {
+        self.first_deviation() + self.joints * self.postures
+    }
+
+    pub(crate) fn first_deviation(&self) -> usize {
+        self.parameters.len() + if self.board { 6 } else { 0 }
+    }
+
+    pub(crate) fn shared_free(&self) -> bool {
+        self.parameters.iter().any(|&parameter| shared_index(parameter).is_some())
+    }
+
+    pub(crate) fn columns(&self, motion: &Motion, state: &State) -> Result<Columns, CalibrationError> {
+        let cameras = (0..self.postures)
+            .into_par_iter()
+            .map(|posture| {
+                let deviation = motion.deviation(&state.deviations, posture);
+                motion.linearize(&state.model, self.parameters, posture, deviation)
+            })
+            .collect::<Result<Vec<CameraMotion>, _>>()?;
+        let matrix = |columns: &[Vector6<f64>]| DMatrix::from_fn(6, columns.len(), |row, k| columns[k][row]);
+        Ok(Columns {
+            by_parameter: cameras.iter().map(|camera| matrix(&camera.by_parameter)).collect(),
+            by_joint: cameras.iter().map(|camera| matrix(&camera.by_joint[..self.joints])).collect(),
+            shared: self.parameters.iter().map(|&parameter| shared_index(parameter)).collect(),
+        })
+    }
+
+    /// Normal matrix and descent direction by the unknowns.
+    pub(crate) fn assemble(&self, system: &PoseSystem, columns: &Columns) -> (DMatrix<f64>, DVector<f64>) {
+        let (count, parameters) = (self.count(), self.parameters.len());
+        let mut information = DMatrix::zeros(count, count);
+        let mut descent = DVector::zeros(count);
+        let selection = DMatrix::from_fn(SHARED, parameters, |row, k| f64::from(columns.shared[k] == Some(row)));
+        let dense = |rows: usize, cols: usize, values: &[f64]| DMatrix::from_column_slice(rows, cols, values);
+        // T_i = sum_j S_ij A_j + S_is A_s: what a twist of camera i has in common with the parameters.
+        let coupling: Vec<DMatrix<f64>> = (0..self.postures)
+            .into_par_iter()
+            .map(|i| {
+                let shared = dense(SHARED, 6, system.shared_by_pose[i].as_slice());
+                let mut sum = shared.transpose() * &selection;
+                for (j, by_parameter) in columns.by_parameter.iter().enumerate() {
+                    sum += dense(6, 6, system.block(i, j).as_slice()) * by_parameter;
+                }
+                sum
+            })
+            .collect();
+        let mut own = selection.transpose() * dense(SHARED, SHARED, system.shared.as_slice()) * &selection;
+        let mut pull = selection.transpose() * DVector::from_column_slice(system.shared_descent.as_slice());
+        for (i, by_parameter) in columns.by_parameter.iter().enumerate() {
+            own += by_parameter.transpose() * &coupling[i];
+            own += selection.transpose() * dense(SHARED, 6, system.shared_by_pose[i].as_slice()) * by_parameter;
+            pull += by_parameter.transpose() * DVector::from_column_slice(system.descent[i].as_slice());
+        }
+        information.view_mut((0, 0), (parameters, parameters)).copy_from(&((&own + own.transpose()) * 0.5));
+        descent.rows_mut(0, parameters).copy_from(&pull);
+        if self.board {
+            let at = parameters;
+            let mut cross = dense(SHARED, 6, system.shared_by_board.as_slice()).transpose() * &selection;
+            for (i, by_parameter) in columns.by_parameter.iter().enumerate() {
+                cross += dense(6, 6, system.board_by_pose[i].as_slice()) * by_parameter;
+            }
+            set_symmetric(&mut information, at, 0, &cross);
+            information.view_mut((at, at), (6, 6)).copy_from(&system.board);
+            descent.rows_mut(at, 6).copy_from(&system.board_descent);
+        }
+        for (i, by_joint) in columns.by_joint.iter().enumerate() {
+            if self.joints == 0 {
+                break;
+            }
+            let at = self.first_deviation() + i * self.joints;
+            set_symmetric(&mut information, at, 0, &(by_joint.transpose() * &coupling[i]));
+            if self.board {
+                let cross = by_joint.transpose() * dense(6, 6, system.board_by_pose[i].as_slice()).transpose();
+                set_symmetric(&mut information, at, parameters, &cross);
+            }
+            for (j, other) in columns.by_joint.iter().enumerate().skip(i) {
+                let block = by_joint.transpose() * (dense(6, 6, system.block(i, j).as_slice()) * other);
+                set_symmetric(&mut information, at, self.first_deviation() + j * self.joints, &block);
+            }
+            let pull = by_joint.transpose() * DVector::from_column_slice(system.descent[i].as_slice());
+            descent.rows_mut(at, self.joints).copy_from(&pull);
+        }
+        (information, descent)
+    }
+
+    /// What a step of the unknowns does to the cameras, to first order.
+    pub(crate) fn camera_step(&self, columns: &Columns, step: &DVector<f64>) -> CameraStep {
+        let parameters = step.rows(0, self.parameters.len()).into_owned();
+        let twists = (0..self.postures).map(|i| {
+            let mut twist = &columns.by_parameter[i] * &parameters;
+            if self.joints > 0 {
+                let at = self.first_deviation() + i * self.joints;
+                twist += &columns.by_joint[i] * step.rows(at, self.joints);
+            }
+            Vector6::from_column_slice(twist.as_slice())
+        });
+        let shared = self.shared_free().then(|| {
+            let mut shared = SVector::<f64, SHARED>::zeros();
+            for (k, index) in columns.shared.iter().enumerate() {
+                if let Some(index) = index {
+                    shared[*index] += step[k];
+                }
+            }
+            shared
+        });
+        CameraStep { twists: twists.collect(), shared }
+    }
+
+    /// The state after a step, its points untouched.
+    pub(crate) fn stepped(
+        &self,
+        motion: &Motion,
+        state: &State,
+        step: &DVector<f64>,
+    ) -> Result<State, CalibrationError> {
+        let parameters = self.parameters.len();
+        let mut moved = State {
+            model: state.model.stepped(self.parameters, &step.as_slice()[..parameters])?,
+            deviations: state.deviations.clone(),
+            points: Vec::new(),
+            base_from_board: state.base_from_board,
+            poses: Vec::new(),
+        };
+        if let (true, Some(board)) = (self.board, &mut moved.base_from_board) {
+            let twist = step.rows(parameters, 6);
+            *board *= Isometry3::from_parts(
+                Translation3::new(twist[0], twist[1], twist[2]),
+                UnitQuaternion::from_scaled_axis(Vector3::new(twist[3], twist[4], twist[5])),
+            );
+            board.rotation.renormalize();
+        }
+        let at = self.first_deviation();
+        moved.deviations.iter_mut().zip(&step.as_slice()[at..]).for_each(|(value, change)| *value += change);
+        moved.refresh_poses(motion)?;
+        Ok(moved)
+    }
+}
+
+fn set_symmetric(matrix: &mut DMatrix<f64>, row: usize, column: usize, block: &DMatrix<f64>) {
+    matrix.view_mut((row, column), block.shape()).copy_from(block);
+    if row != column {
+        matrix.view_mut((column, row), (block.ncols(), block.nrows())).copy_from(&block.transpose());
+    }
+}
+
+fn shared_index(parameter: Parameter) -> Option<usize> {
+    match parameter {
+        Parameter::Intrinsic(intrinsic) => Some(intrinsic as usize),
+        Parameter::DepthOffset => Some(DEPTH_OFFSET),
+        Parameter::DepthScale => Some(DEPTH_SCALE),
+        _ => None,
+    }
+}
