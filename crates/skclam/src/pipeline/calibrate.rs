@@ -4,7 +4,8 @@ use super::{Config, Estimator, ImageFeatures, MatchedPair, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use skclam_calibration::{
-    Calibration, Correspondences, NelderMeadOptions, PairMatch, PairMatches, calibrate_nelder_mead,
+    Calibration, Correspondences, NelderMeadOptions, PairMatch, PairMatches, PairwiseOptions, calibrate_nelder_mead,
+    calibrate_pairwise,
 };
 use skclam_geometry::Pixel;
 
@@ -39,10 +40,13 @@ pub fn calibrate(
     progress: &dyn Progress,
 ) -> Result<Calibration, RunError> {
     progress.begin(Stage::Calibrate, 1);
+    let free = config.free.clone();
     let calibration = match config.estimator {
-        Estimator::NelderMead | Estimator::Sampson | Estimator::Bundle => {
-            let options = NelderMeadOptions { free: config.free.clone(), ..NelderMeadOptions::default() };
-            calibrate_nelder_mead(&dataset.rig, data, &options)?
+        Estimator::NelderMead => {
+            calibrate_nelder_mead(&dataset.rig, data, &NelderMeadOptions { free, ..config.nelder_mead.clone() })?
+        }
+        Estimator::Sampson => {
+            calibrate_pairwise(&dataset.rig, data, &PairwiseOptions { free, ..config.pairwise.clone() })?
         }
     };
     progress.step();

@@ -2,7 +2,7 @@
 
 use super::{Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
-use skclam_calibration::Free;
+use skclam_calibration::{Free, NelderMeadOptions, PairwiseOptions};
 use skclam_features::{AkazeOptions, FilterOptions, RansacOptions};
 use skclam_geometry::PinholeCamera;
 use skclam_mapping::CloudOptions;
@@ -15,8 +15,6 @@ pub enum Estimator {
     NelderMead,
     /// Robust least squares on Sampson distances of pairs.
     Sampson,
-    /// Bundle adjustment over tracks.
-    Bundle,
 }
 
 /// The settings of a run.
@@ -39,6 +37,10 @@ pub struct Config {
     pub filter: FilterOptions,
     /// Which estimator.
     pub estimator: Estimator,
+    /// Settings of Nelder-Mead; `free` above comes first.
+    pub nelder_mead: NelderMeadOptions,
+    /// Settings of the pairwise least squares; `free` above comes first.
+    pub pairwise: PairwiseOptions,
     /// The map.
     pub cloud: CloudOptions,
 }
@@ -53,7 +55,9 @@ impl Default for Config {
             search: Search::Guided,
             gate_deg: Some(7.3),
             filter: FilterOptions::default(),
-            estimator: Estimator::Bundle,
+            estimator: Estimator::Sampson,
+            nelder_mead: NelderMeadOptions::default(),
+            pairwise: PairwiseOptions::default(),
             cloud: CloudOptions::default(),
         }
     }
@@ -66,7 +70,11 @@ impl Config {
             free: Free::Angles,
             pairing: PairingOptions { pairing: Pairing::Adjacent, ..PairingOptions::default() },
             search: Search::Exhaustive,
-            filter: FilterOptions::paper(),
+            // The paper names no threshold for RANSAC; half a pixel is what its 30 best matches keep to.
+            filter: FilterOptions {
+                ransac: Some(RansacOptions { threshold_px: 0.5, ..RansacOptions::default() }),
+                ..FilterOptions::paper()
+            },
             estimator: Estimator::NelderMead,
             ..Config::default()
         }
