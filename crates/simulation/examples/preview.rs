@@ -55,9 +55,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     std::fs::write(folder.join("trajectory.txt"), trajectory)?;
-    let wide = PinholeCamera::from_hfov(1920, 1080, 90f64.to_radians());
+    let wide = PinholeCamera::from_hfov(1920, 1080, 84f64.to_radians());
     let pose = looking(Vector3::new(-1.55, -1.45, 1.35), Vector3::new(0.35, 0.3, 0.05));
-    let body = simulation.arm_body().model_at(&[0.4, 0.1, 0.3, 0.2, -0.9, 0.0])?;
+    let body = simulation.arm_body().model_at(&[-0.3, 0.55, 0.75, 0.35, 1.25, 0.0])?;
     Renderer::new(&wide, Antialiasing::Sixteen)?.color(&pose, &[&scene.model, &body]).save(folder.join("cell.png"))?;
     Ok(())
 }

@@ -27,8 +27,10 @@ pub struct DiverseOptions {
     pub clearance_m: f64,
     /// Median distance of what is seen: least and most, metres.
     pub view_distance_m: [f64; 2],
-    /// Largest share of the view on plain surfaces or on the arm itself.
+    /// Largest share of the view on plain surfaces.
     pub most_plain: f64,
+    /// Largest share of the view on the arm itself.
+    pub most_arm: f64,
 }
 
 impl Default for DiverseOptions {
@@ -40,7 +42,8 @@ impl Default for DiverseOptions {
             least_overlap: 0.45,
             clearance_m: 0.3,
             view_distance_m: [0.6, 2.6],
-            most_plain: 0.35,
+            most_plain: 0.3,
+            most_arm: 0.03,
         }
     }
 }
@@ -78,6 +81,8 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
     let mut dice = Dice::new(options.seed, 40);
     let mut postures: Vec<Vec<f64>> = Vec::with_capacity(options.count);
     let mut last: Option<View> = None;
+    // Joint 1 drifts, so that the walk goes around the arm and back instead of staying at one wall.
+    let mut drift = (720.0 / options.count.max(1) as f64).min(0.5 * options.step_deg).to_radians();
     let mut tries = 0;
     while postures.len() < options.count {
         if tries >= TRIES_PER_POSTURE * (postures.len() + 1) {
@@ -89,8 +94,10 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
             Some(from) => from
                 .iter()
                 .zip(&limits)
-                .map(|(value, [low, high])| {
-                    let step = value + options.step_deg.to_radians() * dice.normal();
+                .enumerate()
+                .map(|(joint, (value, [low, high]))| {
+                    let mean = if joint == 0 { value + drift } else { *value };
+                    let step = mean + options.step_deg.to_radians() * dice.normal();
                     // Mirrored at the limits: a walk that is cut there would stick to them.
                     let folded = if step > *high {
                         2.0 * high - step
@@ -120,6 +127,17 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
                 continue;
             }
         }
+        // Turn back at the ends of joint 1's range.
+        if let (Some([low, high]), Some(value)) = (limits.first(), candidate.first()) {
+            let margin = 0.15 * (high - low);
+            drift = if *value > high - margin {
+                -drift.abs()
+            } else if *value < low + margin {
+                drift.abs()
+            } else {
+                drift
+            };
+        }
         postures.push(candidate);
         last = Some(view);
     }
@@ -134,7 +152,9 @@ fn check(options: &DiverseOptions) -> Result<(), SimulationError> {
     if !(options.step_deg > 0.0 && options.step_deg <= 360.0) {
         return bad("step_deg", options.step_deg.to_string(), "more than 0 and at most 360 degrees are needed");
     }
-    for (option, value) in [("least_overlap", options.least_overlap), ("most_plain", options.most_plain)] {
+    for (option, value) in
+        [("least_overlap", options.least_overlap), ("most_plain", options.most_plain), ("most_arm", options.most_arm)]
+    {
         if !(0.0..=1.0).contains(&value) {
             return bad(option, value.to_string(), "0 to 1 is needed");
         }
@@ -190,7 +210,7 @@ fn acceptable(
     }
     let own = RayCaster::new(&body.model_at(joint_values)?);
     let camera = &rig.color;
-    let (mut points, mut distances, mut plain) = (Vec::new(), Vec::new(), 0usize);
+    let (mut points, mut distances, mut plain, mut arm) = (Vec::new(), Vec::new(), 0usize, 0usize);
     for row in 0..RAYS.1 {
         for column in 0..RAYS.0 {
             let pixel = Pixel::new(
@@ -202,10 +222,8 @@ fn acceptable(
             if hit.distance < options.clearance_m {
                 return Ok(None);
             }
-            let arm = own.first_hit(&(eye + 0.02 * way), &way, hit.distance).is_some();
-            if arm || scene.is_plain(hit.face) {
-                plain += 1;
-            }
+            arm += usize::from(own.is_blocked(&(eye + 0.005 * way), &way, hit.distance));
+            plain += usize::from(scene.is_plain(hit.face));
             points.push(eye + way * hit.distance);
             distances.push(hit.distance);
         }
@@ -213,7 +231,10 @@ fn acceptable(
     distances.sort_by(f64::total_cmp);
     let median = distances[distances.len() / 2];
     let [near, far] = options.view_distance_m;
-    let seen = (near..=far).contains(&median) && plain as f64 <= options.most_plain * points.len() as f64;
+    let rays = points.len() as f64;
+    let seen = (near..=far).contains(&median)
+        && plain as f64 <= options.most_plain * rays
+        && arm as f64 <= options.most_arm * rays;
     Ok(seen.then_some(View { base_from_color, points }))
 }
 

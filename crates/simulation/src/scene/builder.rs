@@ -63,6 +63,9 @@ impl CuboidCoats {
     }
 }
 
+/// Light is computed on a grid of about this, metres; it changes slowly.
+const LIGHT_CELL_M: f64 = 0.09;
+
 /// Collects sheets and faces; texture indices are sheet indices.
 #[derive(Debug)]
 pub(crate) struct Builder {
@@ -213,7 +216,7 @@ impl Builder {
                 let size_m = (sheet.size_m.0 as f32, sheet.size_m.1 as f32);
                 let mut canvas = sheet.coat.paint(size_m, sheet.texel_m as f32, &mut dice);
                 if let Some(caster) = &caster {
-                    let cells = |length: f64| ((length / 0.07).ceil() as usize).clamp(2, 64);
+                    let cells = |length: f64| ((length / LIGHT_CELL_M).ceil() as usize).clamp(2, 64);
                     let (columns, rows) = (cells(sheet.size_m.0), cells(sheet.size_m.1));
                     let mut light = Vec::with_capacity(columns * rows);
                     for row in 0..rows {

@@ -7,6 +7,7 @@ use super::canvas::{Canvas, Colour};
 use super::lattice::{Octave, add_octave, add_octaves};
 use super::print::{self, Patch};
 use crate::dice::Dice;
+use std::f32::consts::{PI, TAU};
 
 /// The material and finish of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -136,14 +137,14 @@ fn specks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, sizes_m: 
         let strength = contrast * dice.range_f32(0.4, 1.0);
         let colour = if dice.chance(0.65) { [30.0, 27.0, 24.0] } else { [226.0, 222.0, 214.0] };
         let radii = (radius, radius * dice.range_f32(0.45, 1.0));
-        canvas.ellipse(at, radii, dice.range_f32(0.0, 3.14), colour, strength);
+        canvas.ellipse(at, radii, dice.range_f32(0.0, PI), colour, strength);
     }
 }
 
 /// Scratches: thin, mostly straight, in bundles.
 fn scratches(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, opacity: f32) {
     for _ in 0..count(canvas, per_square_metre, dice) {
-        let (mut at, mut direction) = (anywhere(canvas, dice), dice.range_f32(0.0, 6.28));
+        let (mut at, mut direction) = (anywhere(canvas, dice), dice.range_f32(0.0, TAU));
         let light = dice.chance(0.5);
         let colour = if light { [222.0, 220.0, 214.0] } else { [42.0, 38.0, 36.0] };
         let (width, step) = (dice.range_f32(0.0004, 0.0016), dice.range_f32(0.008, 0.035));
@@ -159,7 +160,7 @@ fn scratches(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, opacit
 /// Cracks: long dark walks that branch.
 fn cracks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32) {
     for _ in 0..count(canvas, per_square_metre, dice) {
-        let mut tips = vec![(anywhere(canvas, dice), dice.range_f32(0.0, 6.28), 14 + dice.below(26))];
+        let mut tips = vec![(anywhere(canvas, dice), dice.range_f32(0.0, TAU), 14 + dice.below(26))];
         while let Some((mut at, mut direction, steps)) = tips.pop() {
             for step in 0..steps {
                 direction += 0.45 * dice.normal() as f32;
@@ -215,7 +216,7 @@ fn concrete(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
                 from.1 + share * (to.1 - from.1) + dice.range_f32(-0.04, 0.04),
             );
             let radius = power_size(dice, 0.002, 0.02);
-            canvas.ellipse(at, (radius, radius * dice.range_f32(0.3, 0.9)), dice.range_f32(0.0, 3.14), colour, 0.8);
+            canvas.ellipse(at, (radius, radius * dice.range_f32(0.3, 0.9)), dice.range_f32(0.0, PI), colour, 0.8);
         }
     }
     for _ in 0..count(canvas, 5.0, dice) {
@@ -223,7 +224,7 @@ fn concrete(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
         for _ in 0..3 + dice.below(9) {
             let radius = power_size(dice, 0.002, 0.02);
             let drop = (at.0 + 0.05 * dice.normal() as f32, at.1 + 0.05 * dice.normal() as f32);
-            canvas.ellipse(drop, (radius, radius * dice.range_f32(0.7, 1.0)), dice.range_f32(0.0, 3.14), tone, 0.85);
+            canvas.ellipse(drop, (radius, radius * dice.range_f32(0.7, 1.0)), dice.range_f32(0.0, PI), tone, 0.85);
         }
     }
 }
@@ -300,7 +301,7 @@ fn terrazzo(canvas: &mut Canvas, dice: &mut Dice, colour: Colour) {
             [116.0, 120.0, 118.0],
             [180.0, 160.0, 130.0],
         ]);
-        let turn = dice.range_f32(0.0, 6.28);
+        let turn = dice.range_f32(0.0, TAU);
         let corner = |angle: f32, scale: f32| {
             (at.0 + scale * radius * (turn + angle).cos(), at.1 + scale * radius * (turn + angle).sin())
         };
@@ -487,7 +488,7 @@ fn panel(canvas: &mut Canvas, dice: &mut Dice) {
                 3 => print::label(canvas, dice, inner),
                 4 => {
                     canvas.ring(inner.centre(), radius, 0.2 * radius, [210.0, 210.0, 206.0], 1.0);
-                    let angle = dice.range_f32(0.0, 6.28);
+                    let angle = dice.range_f32(0.0, TAU);
                     let centre = inner.centre();
                     let tip = (centre.0 + radius * angle.cos(), centre.1 + radius * angle.sin());
                     canvas.line(centre, tip, 0.12 * radius, [230.0, 230.0, 226.0], 1.0);

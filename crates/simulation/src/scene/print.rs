@@ -5,6 +5,7 @@
 use super::canvas::{Canvas, Colour};
 use super::lattice::add_octaves;
 use crate::dice::Dice;
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_6};
 
 /// A rectangle on a canvas, metres.
 #[derive(Debug, Clone, Copy)]
@@ -285,7 +286,7 @@ pub(crate) fn label(canvas: &mut Canvas, dice: &mut Dice, patch: Patch) {
 /// A yellow triangle with something alarming in it.
 pub(crate) fn warning_sign(canvas: &mut Canvas, dice: &mut Dice, centre: (f32, f32), radius: f32) {
     let corners = |scale: f32| {
-        [-std::f32::consts::FRAC_PI_2, 0.5236, 2.618]
+        [-FRAC_PI_2, FRAC_PI_6, 5.0 * FRAC_PI_6]
             .map(|angle: f32| (centre.0 + scale * radius * angle.cos(), centre.1 + scale * radius * angle.sin()))
     };
     canvas.triangle(corners(1.0), INK, 1.0);
