@@ -16,6 +16,7 @@ mod error;
 mod nearest;
 mod normals;
 mod ply;
+mod projector;
 mod quality;
 mod render;
 mod surface;

@@ -7,6 +7,7 @@
 
 use crate::DepthFilter;
 use crate::view::Rays;
+use multiversion::multiversion;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -65,38 +66,6 @@ impl Sums {
         }
     }
 
-    /// Adds the neighbour `(u, v)` of the pixels `from..`: `here` and `there` are inverse depths of the pixels and of
-    /// their neighbours, and a neighbour counts that differs by no more than `reach` tolerances.
-    fn add(&mut self, from: usize, (u, v): (f32, f32), here: &[f32], there: &[f32], tolerance: &[f32]) {
-        let end = from + here.len();
-        let reach = u.abs().max(v.abs());
-        let (uu, uv, vv) = (u * u, u * v, v * v);
-        // Equal lengths, known to the compiler, let it work on several pixels at a time.
-        let length = here.len();
-        let (there, tolerance) = (&there[..length], &tolerance[..length]);
-        let (count, sum_u, sum_v) = (&mut self.count[from..end], &mut self.u[from..end], &mut self.v[from..end]);
-        let (sum_uu, sum_uv, sum_vv) = (&mut self.uu[from..end], &mut self.uv[from..end], &mut self.vv[from..end]);
-        let (sum_d, sum_dd) = (&mut self.d[from..end], &mut self.dd[from..end]);
-        let (sum_ud, sum_vd) = (&mut self.ud[from..end], &mut self.vd[from..end]);
-        for x in 0..length {
-            // Where there is no depth the inverse is infinite or the difference not a number: it does not count.
-            let difference = there[x] - here[x];
-            let counts = difference.abs() <= tolerance[x] * reach;
-            let one = if counts { 1.0 } else { 0.0 };
-            let d = if counts { difference } else { 0.0 };
-            count[x] += one;
-            sum_u[x] += u * one;
-            sum_v[x] += v * one;
-            sum_uu[x] += uu * one;
-            sum_uv[x] += uv * one;
-            sum_vv[x] += vv * one;
-            sum_d[x] += d;
-            sum_ud[x] += u * d;
-            sum_vd[x] += v * d;
-            sum_dd[x] += d * d;
-        }
-    }
-
     /// Slopes of inverse depth along u and v, its difference at the centre, and the variance of what remains; `None`
     /// where the neighbours do not span a plane.
     fn fit(&self, x: usize) -> Option<(f32, f32, f32, f32)> {
@@ -119,6 +88,39 @@ impl Sums {
     }
 }
 
+/// Adds the neighbour `(u, v)` of the pixels `from..`: `here` and `there` are inverse depths of the pixels and of their
+/// neighbours, and a neighbour counts that differs by no more than `max(|u|, |v|)` tolerances.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_neighbours(sums: &mut Sums, from: usize, (u, v): (f32, f32), here: &[f32], there: &[f32], tolerance: &[f32]) {
+    let end = from + here.len();
+    let reach = u.abs().max(v.abs());
+    let (uu, uv, vv) = (u * u, u * v, v * v);
+    // Equal lengths, known to the compiler, let it work on several pixels at a time.
+    let length = here.len();
+    let (there, tolerance) = (&there[..length], &tolerance[..length]);
+    let (count, sum_u, sum_v) = (&mut sums.count[from..end], &mut sums.u[from..end], &mut sums.v[from..end]);
+    let (sum_uu, sum_uv, sum_vv) = (&mut sums.uu[from..end], &mut sums.uv[from..end], &mut sums.vv[from..end]);
+    let (sum_d, sum_dd) = (&mut sums.d[from..end], &mut sums.dd[from..end]);
+    let (sum_ud, sum_vd) = (&mut sums.ud[from..end], &mut sums.vd[from..end]);
+    for x in 0..length {
+        // Where there is no depth the inverse is infinite or the difference not a number: it does not count.
+        let difference = there[x] - here[x];
+        let counts = difference.abs() <= tolerance[x] * reach;
+        let one = if counts { 1.0 } else { 0.0 };
+        let d = if counts { difference } else { 0.0 };
+        count[x] += one;
+        sum_u[x] += u * one;
+        sum_v[x] += v * one;
+        sum_uu[x] += uu * one;
+        sum_uv[x] += uv * one;
+        sum_vv[x] += vv * one;
+        sum_d[x] += d;
+        sum_ud[x] += u * d;
+        sum_vd[x] += v * d;
+        sum_dd[x] += d * d;
+    }
+}
+
 /// Fits a plane to the surroundings of every pixel; row-major.
 pub(crate) fn surface_patches(
     depth: &[f32],
@@ -134,6 +136,7 @@ pub(crate) fn surface_patches(
     let inverse: Vec<f32> = depth.iter().map(|z| 1.0 / z).collect();
     let mut patches = vec![SurfacePatch { normal: Vector3::zeros(), depth: 0.0 }; depth.len()];
     let offsets: Vec<isize> = (-(window.radius as isize)..=window.radius as isize).step_by(window.stride).collect();
+    let (floor, quadratic) = (filter.noise.floor_m as f32, filter.noise.quadratic_per_m as f32);
     patches.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
         let own = &depth[y * width..(y + 1) * width];
         if own.iter().all(|z| *z <= 0.0) {
@@ -149,7 +152,8 @@ pub(crate) fn surface_patches(
                 let (first, end) = ((-u).max(0) as usize, (width as isize - u).clamp(0, width as isize) as usize);
                 if first < end {
                     let shifted = &there[(first as isize + u) as usize..];
-                    sums.add(first, (u as f32, v as f32), &here[first..end], shifted, &tolerance[first..end]);
+                    let (here, tolerance) = (&here[first..end], &tolerance[first..end]);
+                    add_neighbours(&mut sums, first, (u as f32, v as f32), here, shifted, tolerance);
                 }
             }
         }
@@ -173,7 +177,7 @@ pub(crate) fn surface_patches(
             }
             // n . X = c with c > 0 points away from the camera.
             patch.normal = -unit;
-            let noise = filter.noise.sigma(f64::from(z)) as f32 / (z * z);
+            let noise = (floor + quadratic * z * z) / (z * z);
             if rest <= MOST_BENT * noise * noise {
                 patch.depth = 1.0 / fitted;
             }

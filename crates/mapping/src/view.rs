@@ -128,8 +128,15 @@ impl DepthFilter {
 
     /// Largest difference between neighbours on one surface.
     pub(crate) fn step_tolerance(&self, depth_m: f32) -> f32 {
-        let depth = f64::from(depth_m);
-        (self.edge_step * depth + 4.0 * std::f64::consts::SQRT_2 * self.noise.sigma(depth)) as f32
+        let (share, floor, quadratic) = self.step_coefficients();
+        share * depth_m + floor + quadratic * depth_m * depth_m
+    }
+
+    /// The tolerance's coefficients of depth, 1 and squared depth.
+    fn step_coefficients(&self) -> (f32, f32, f32) {
+        let sigmas = 4.0 * std::f64::consts::SQRT_2;
+        let DepthNoise { quadratic_per_m, floor_m } = self.noise;
+        (self.edge_step as f32, (sigmas * floor_m) as f32, (sigmas * quadratic_per_m) as f32)
     }
 }
 
@@ -176,7 +183,10 @@ impl View<'_> {
                 if self.depth_mask.is_some_and(|mask| mask.get_pixel(x as u32, y as u32).0[0] == 0) {
                     continue;
                 }
-                if !at_edge.is_empty() && near_marked(&at_edge, width, height, x, y, filter.edge_margin_px - 1) {
+                if filter.edge_margin_px == 1 && at_edge[index] {
+                    continue;
+                }
+                if filter.edge_margin_px > 1 && near_marked(&at_edge, width, height, x, y, filter.edge_margin_px - 1) {
                     continue;
                 }
                 if let Some((mask, rays)) = &color_pixels {
@@ -322,18 +332,29 @@ fn edge_pixels(depth: &[f32], width: usize, filter: &DepthFilter) -> Vec<bool> {
         (before > 0.0 && middle > 0.0 && after > 0.0)
             .then(|| (1.0 / before - 2.0 / middle + 1.0 / after).abs() * middle * middle)
     };
+    let (share, tolerance_floor, tolerance_quadratic) = filter.step_coefficients();
     let mut marked = vec![false; depth.len()];
     marked.par_chunks_mut(width.max(1)).enumerate().for_each(|(row, marks)| {
-        for (column, mark) in marks.iter_mut().enumerate() {
-            let (x, y) = (column as isize, row as isize);
-            let here = value(x, y);
+        let own = &depth[row * width..(row + 1) * width];
+        // Rows beyond the border are taken to be this row: no step.
+        let above = if row > 0 { &depth[(row - 1) * width..row * width] } else { own };
+        let below = depth.get((row + 1) * width..(row + 2) * width).unwrap_or(own);
+        for column in 0..width {
+            let here = own[column];
             if here <= 0.0 {
                 continue;
             }
-            let tolerance = filter.step_tolerance(here);
-            *mark = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().any(|(dx, dy)| {
+            let tolerance = share * here + tolerance_floor + tolerance_quadratic * here * here;
+            let is_step = |other: f32| (other > 0.0) & ((other - here).abs() > tolerance);
+            let left = own[column.saturating_sub(1)];
+            let right = own[(column + 1).min(width - 1)];
+            if !(is_step(left) | is_step(right) | is_step(above[column]) | is_step(below[column])) {
+                continue;
+            }
+            let (x, y) = (column as isize, row as isize);
+            marks[column] = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().any(|(dx, dy)| {
                 let other = value(x + dx, y + dy);
-                if other <= 0.0 || (other - here).abs() <= tolerance {
+                if !is_step(other) {
                     return false;
                 }
                 let this_side = bend(value(x - dx, y - dy), here, other);

@@ -1,12 +1,13 @@
 //! Which blocks an image concerns: those around the surfaces it shows, which are allocated, and those that exist and
 //! that it sees to be free.
 
-use super::frame::{Frame, TILE};
+use super::frame::{Frame, Pixel, TILE};
 use super::{BLOCK_EDGE, Block, Tsdf, TsdfOptions};
 use crate::Error;
 use crate::view::Rays;
-use crate::voxel::{VoxelKey, VoxelMap};
-use nalgebra::Vector3;
+use crate::voxel::{INDEX_LIMIT, VoxelKey, VoxelMap};
+use multiversion::multiversion;
+use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use std::mem::size_of;
 
@@ -19,6 +20,54 @@ const PIXEL_STRIDE: usize = 2;
 /// Rows that are searched together.
 const ROWS: usize = 16;
 
+/// What the rays of an image share on their way through the blocks.
+struct Search<'a> {
+    surface: &'a [Pixel],
+    rays: &'a Rays,
+    rotation: Matrix3<f32>,
+    origin: Vector3<f32>,
+    truncation_m: f32,
+    sigmas_floor: f32,
+    sigmas_quadratic: f32,
+    inverse_block: f32,
+}
+
+/// Appends the blocks around the surfaces of a row of pixels, some of them several times; returns a point that no block
+/// can hold, if there is one. A block's border may be missed by a rounding error, which does no harm to a block that is
+/// wanted for its inside.
+#[multiversion(targets("x86_64+avx2"))]
+fn blocks_along_row(search: &Search<'_>, row: std::ops::Range<usize>, found: &mut Vec<VoxelKey>) -> Option<[f32; 3]> {
+    // Most rays meet the blocks of their neighbour, step by step: a short memory saves most of the sorting.
+    const MEMORY: usize = 32;
+    let mut last = [[i32::MIN; 3]; MEMORY];
+    let limit = INDEX_LIMIT as f32;
+    for index in row.step_by(PIXEL_STRIDE) {
+        let z = search.surface[index].depth;
+        if z <= 0.0 {
+            continue;
+        }
+        let direction = search.rotation * search.rays.direction(index);
+        let truncation = search.truncation_m.max(search.sigmas_floor + search.sigmas_quadratic * z * z);
+        let steps = (4.0 * truncation * search.inverse_block).ceil().max(1.0);
+        let first = search.origin + direction * (z - truncation);
+        let stride = direction * (2.0 * truncation / steps);
+        for step in 0..=steps as usize {
+            let point = first + stride * step as f32;
+            let cell = (point * search.inverse_block).map(f32::floor);
+            if !cell.iter().all(|index| index.abs() < limit) {
+                return Some(point.into());
+            }
+            let block = [cell.x as i32, cell.y as i32, cell.z as i32];
+            let slot = &mut last[step % MEMORY];
+            if *slot != block {
+                *slot = block;
+                found.extend(VoxelKey::new(block));
+            }
+        }
+    }
+    None
+}
+
 impl Frame {
     /// Addresses of the blocks within the truncation of the surface, sorted.
     pub(super) fn touched_blocks(&self, rays: &Rays, options: &TsdfOptions) -> Result<Vec<VoxelKey>, Error> {
@@ -26,34 +75,28 @@ impl Frame {
         let height = self.camera.height as usize;
         let block_m = options.voxel_m * BLOCK_EDGE as f64;
         let inverse = 1.0 / block_m;
-        let rotation = self.base_from_depth.rotation.to_rotation_matrix();
-        let origin = self.base_from_depth.translation.vector;
-        // A depth image has few blocks across, so most rays meet those of their neighbours: a short memory of what
-        // was found last saves most of the sorting.
+        let rotation = self.base_from_depth.rotation.cast::<f32>().to_rotation_matrix();
+        let search = Search {
+            surface: &self.surface,
+            rays,
+            rotation: *rotation.matrix(),
+            origin: self.base_from_depth.translation.vector.cast(),
+            truncation_m: (options.truncation_voxels * options.voxel_m) as f32,
+            sigmas_floor: (options.truncation_sigmas * options.filter.noise.floor_m) as f32,
+            sigmas_quadratic: (options.truncation_sigmas * options.filter.noise.quadratic_per_m) as f32,
+            inverse_block: inverse as f32,
+        };
         let bands: Vec<Result<Vec<VoxelKey>, Error>> = (0..height.div_ceil(ROWS))
             .into_par_iter()
             .map(|band| {
                 let mut found = Vec::new();
-                let mut recent = [None; 64];
                 for y in (band * ROWS..((band + 1) * ROWS).min(height)).step_by(PIXEL_STRIDE) {
-                    for x in (0..width).step_by(PIXEL_STRIDE) {
-                        let index = y * width + x;
-                        let z = f64::from(self.surface[index].depth);
-                        if z <= 0.0 {
-                            continue;
-                        }
-                        let direction: Vector3<f64> = rotation * rays.direction(index).cast();
-                        let truncation = options.truncation(z);
-                        let steps = (4.0 * truncation * inverse).ceil().max(1.0);
-                        for step in 0..=steps as usize {
-                            let depth = z + truncation * (2.0 * step as f64 / steps - 1.0);
-                            let key = VoxelKey::of_point((origin + direction * depth).into(), inverse)?;
-                            let slot = &mut recent[key.shard(6)];
-                            if *slot != Some(key) {
-                                *slot = Some(key);
-                                found.push(key);
-                            }
-                        }
+                    if let Some(point) = blocks_along_row(&search, y * width..(y + 1) * width, &mut found) {
+                        return Err(Error::OutOfRange {
+                            distance_m: point.iter().fold(0.0, |most, value| f64::from(value.abs()).max(most)),
+                            limit_m: f64::from(INDEX_LIMIT) * block_m,
+                            voxel_m: options.voxel_m,
+                        });
                     }
                 }
                 found.sort_unstable();
@@ -77,12 +120,11 @@ impl Frame {
             return false;
         }
         let camera = &self.camera;
-        // Distortion moves the block by no more than a few tiles in any sane camera; the centre is projected with it.
-        let Some(centre) = camera.project(&centre_in_depth.cast::<f64>().into()) else {
+        let (x, y) = self.projector.project(centre_in_depth.x, centre_in_depth.y, z);
+        if x.is_nan() || y.is_nan() {
             return false;
-        };
+        }
         let reach = radius * camera.fx.max(camera.fy) as f32 / (z - radius);
-        let (x, y) = (centre.x as f32, centre.y as f32);
         let span = |low: f32, high: f32, count: usize| {
             let first = (low / TILE as f32).floor().max(0.0) as usize;
             let end = ((high / TILE as f32).floor() + 1.0).clamp(0.0, count as f32) as usize;

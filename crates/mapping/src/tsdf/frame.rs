@@ -2,9 +2,10 @@
 
 use super::TsdfOptions;
 use crate::View;
-use crate::normals::{NormalWindow, surface_patches};
+use crate::normals::{NormalWindow, SurfacePatch, surface_patches};
+use crate::projector::Projector;
 use crate::view::Rays;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Vector3};
 use rayon::prelude::*;
 use skclam_geometry::PinholeCamera;
 
@@ -34,6 +35,7 @@ const NOTHING: Pixel = Pixel { normal: [0.0; 3], offset: 0.0, depth: 0.0, weight
 /// An image ready to be fused.
 pub(super) struct Frame {
     pub(super) camera: PinholeCamera,
+    pub(super) projector: Projector,
     pub(super) base_from_depth: Isometry3<f64>,
     /// Row-major, and one more at the end at which nothing is known, for voxels outside the image.
     pub(super) surface: Vec<Pixel>,
@@ -52,25 +54,32 @@ impl Frame {
         let depth = view.believed_depth(&options.filter);
         let width = camera.width.max(1) as usize;
         let patches = surface_patches(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
-        let sigma_at_1m = options.filter.noise.sigma(1.0);
+        let colors = Colors::new(view);
+        let noise = &options.filter.noise;
+        let (floor, quadratic) = (noise.floor_m as f32, noise.quadratic_per_m as f32);
+        let sigma_at_1m = floor + quadratic;
         let mut surface = vec![NOTHING; depth.len() + 1];
         surface[..depth.len()].par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, pixel) in row.iter_mut().enumerate() {
                 let index = y * width + x;
-                let z = patches[index].depth;
+                let SurfacePatch { normal: fitted, depth: z } = patches[index];
                 if z <= 0.0 {
                     continue;
                 }
                 let ray = rays.direction(index);
-                let range = ray.norm();
+                let inverse_range = 1.0 / ray.norm();
                 // Without a normal the surface is taken to face the camera.
-                let fitted = patches[index].normal;
-                let normal: Vector3<f32> = if fitted == Vector3::zeros() { -ray / range } else { fitted };
-                let cosine = (-normal.dot(&ray) / range).max(LEAST_COSINE);
-                let weight = (sigma_at_1m / options.filter.noise.sigma(f64::from(z))).powi(2) as f32 * cosine;
-                let color = view.color_of(&(view.depth_camera.color_from_depth * rays.point(index, z)));
-                let color = color.map_or([0; 4], |[r, g, b]| [r as u8, g as u8, b as u8, 1]);
-                *pixel = Pixel { normal: normal.into(), offset: normal.dot(&ray) * z, depth: z, weight, color };
+                let normal = if fitted == Vector3::zeros() { -ray * inverse_range } else { fitted };
+                let along_ray = normal.dot(&ray);
+                let cosine = (-along_ray * inverse_range).max(LEAST_COSINE);
+                let relative_sigma = sigma_at_1m / (floor + quadratic * z * z);
+                *pixel = Pixel {
+                    normal: normal.into(),
+                    offset: along_ray * z,
+                    depth: z,
+                    weight: relative_sigma * relative_sigma * cosine,
+                    color: colors.as_ref().map_or([0; 4], |colors| colors.at(ray * z)),
+                };
             }
         });
         let tiles_x = width.div_ceil(TILE);
@@ -83,6 +92,7 @@ impl Frame {
         }
         Frame {
             camera,
+            projector: Projector::new(&camera),
             base_from_depth: view.base_from_depth(),
             surface,
             farthest: farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z)),
@@ -90,5 +100,36 @@ impl Frame {
             tiles_x,
             pixels: depth.iter().filter(|z| **z > 0.0).count(),
         }
+    }
+}
+
+/// Looks up the colour of points in the depth camera's frame: the nearest pixel, since a voxel takes the mean over many.
+struct Colors<'a> {
+    image: &'a image::RgbImage,
+    projector: Projector,
+    rotation: Matrix3<f32>,
+    translation: Vector3<f32>,
+}
+
+impl<'a> Colors<'a> {
+    fn new(view: &View<'a>) -> Option<Self> {
+        let color_from_depth = view.depth_camera.color_from_depth.cast::<f32>();
+        Some(Colors {
+            image: view.color?,
+            projector: Projector::new(view.color_camera),
+            rotation: *color_from_depth.rotation.to_rotation_matrix().matrix(),
+            translation: color_from_depth.translation.vector,
+        })
+    }
+
+    #[inline]
+    fn at(&self, point_in_depth: Vector3<f32>) -> [u8; 4] {
+        let point = self.rotation * point_in_depth + self.translation;
+        let (u, v) = self.projector.project(point.x, point.y, point.z);
+        if !self.projector.sees(point.z, u, v) {
+            return [0; 4];
+        }
+        let [r, g, b] = self.image.get_pixel(u as u32, v as u32).0;
+        [r, g, b, 1]
     }
 }

@@ -1,10 +1,14 @@
-//! The update of a block's voxels from one image.
+//! The update of a block's voxels from one image, a row of eight voxels at a time.
 
-use super::block::MOST_COLORS;
+use super::block::{BLOCK_VOXELS, MOST_COLORS};
 use super::frame::{Frame, Pixel};
 use super::{BLOCK_EDGE, Block, Tsdf};
+use multiversion::multiversion;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+
+/// One value for each voxel of a row.
+type Row = [f32; BLOCK_EDGE];
 
 /// What all voxels of an image's update share.
 struct Update<'a> {
@@ -20,6 +24,8 @@ struct Update<'a> {
     /// Weights fall from here on behind the surface.
     falloff_m: f32,
     max_weight: f32,
+    /// `1 / count` for running means of colours.
+    shares: [f32; MOST_COLORS as usize + 1],
 }
 
 impl Tsdf {
@@ -41,6 +47,7 @@ impl Tsdf {
             color_reach_m: (2.0 * options.voxel_m) as f32,
             falloff_m: options.voxel_m as f32,
             max_weight: options.max_weight as f32,
+            shares: std::array::from_fn(|count| 1.0 / count.max(1) as f32),
         };
         let block_m = options.voxel_m * BLOCK_EDGE as f64;
         let half_voxel = Vector3::repeat(0.5 * options.voxel_m);
@@ -55,94 +62,95 @@ impl Tsdf {
             let first = (depth_from_base * (corner + half_voxel)).coords.cast::<f32>();
             work.push((first, before.last_mut().expect("at least one block was split off")));
         }
-        let distorted = frame.camera.is_distorted();
-        work.par_iter_mut().with_min_len(16).for_each(|(first, block)| {
-            if distorted {
-                update.block(*first, block, |point| project_distorted(frame, point));
-            } else {
-                let camera = &frame.camera;
-                let (fx, fy) = (camera.fx as f32, camera.fy as f32);
-                let (cx, cy) = (camera.cx as f32 + 0.5, camera.cy as f32 + 0.5);
-                update.block(*first, block, |point| {
-                    let inverse_z = 1.0 / point.z;
-                    (point.x * inverse_z * fx + cx, point.y * inverse_z * fy + cy)
-                });
-            }
-        });
+        work.par_iter_mut().with_min_len(16).for_each(|(first, block)| update_block(&update, *first, block));
     }
 }
 
-/// Where a point is seen, counted from the image's outer corner.
-fn project_distorted(frame: &Frame, point: &Vector3<f32>) -> (f32, f32) {
-    match frame.camera.project(&point.cast::<f64>().into()) {
-        Some(pixel) => (pixel.x as f32 + 0.5, pixel.y as f32 + 0.5),
-        None => (-1.0, -1.0),
-    }
-}
-
-impl Update<'_> {
-    #[inline(always)]
-    fn block(&self, first: Vector3<f32>, block: &mut Block, project: impl Fn(&Vector3<f32>) -> (f32, f32)) {
-        let camera = &self.frame.camera;
-        let (width, height) = (camera.width as f32, camera.height as f32);
-        let outside = self.frame.surface.len() - 1;
-        for row in 0..BLOCK_EDGE * BLOCK_EDGE {
-            let (y, z) = ((row % BLOCK_EDGE) as f32, (row / BLOCK_EDGE) as f32);
-            let start = first + self.steps[1] * y + self.steps[2] * z;
-            let mut points = [Vector3::zeros(); BLOCK_EDGE];
-            let mut pixels = [outside; BLOCK_EDGE];
-            for x in 0..BLOCK_EDGE {
-                let point = start + self.steps[0] * x as f32;
-                points[x] = point;
-                let (u, v) = project(&point);
-                // NaN and points behind the camera fail one of these.
-                if point.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < width && v < height {
-                    pixels[x] = v as usize * camera.width as usize + u as usize;
-                }
-            }
-            for x in 0..BLOCK_EDGE {
-                let pixel = &self.frame.surface[pixels[x]];
-                if pixel.depth > 0.0 {
-                    self.voxel(block, row * BLOCK_EDGE + x, &points[x], pixel);
-                }
+/// Updates all voxels of a block; `first` is the centre of its first voxel in the depth camera's frame.
+#[multiversion(targets("x86_64+avx2"))]
+fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
+    let frame = update.frame;
+    let width = frame.camera.width as i32;
+    let nothing = frame.surface.len() as i32 - 1;
+    for row in 0..BLOCK_EDGE * BLOCK_EDGE {
+        let (y, z) = ((row % BLOCK_EDGE) as f32, (row / BLOCK_EDGE) as f32);
+        let start = first + update.steps[1] * y + update.steps[2] * z;
+        let step = update.steps[0];
+        let (mut px, mut py, mut pz): (Row, Row, Row) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+        let mut places = [0i32; BLOCK_EDGE];
+        for x in 0..BLOCK_EDGE {
+            px[x] = start.x + step.x * x as f32;
+            py[x] = start.y + step.y * x as f32;
+            pz[x] = start.z + step.z * x as f32;
+            let (u, v) = frame.projector.project(px[x], py[x], pz[x]);
+            let seen = frame.projector.sees(pz[x], u, v);
+            let (u, v) = if seen { (u as i32, v as i32) } else { (0, 0) };
+            places[x] = if seen { v * width + u } else { nothing };
+        }
+        let pixels: [&Pixel; BLOCK_EDGE] = std::array::from_fn(|x| &frame.surface[places[x] as usize]);
+        if pixels.iter().all(|pixel| pixel.depth <= 0.0) {
+            continue;
+        }
+        let base = row * BLOCK_EDGE;
+        let distances: &mut Row = (&mut block.distance[base..base + BLOCK_EDGE]).try_into().expect("a row");
+        let weights: &mut Row = (&mut block.weight[base..base + BLOCK_EDGE]).try_into().expect("a row");
+        let near = update_row(update, &pixels, &px, &py, &pz, distances, weights);
+        for x in 0..BLOCK_EDGE {
+            if near[x] && pixels[x].color[3] != 0 {
+                update_color(update, &mut block.color, base + x, pixels[x].color);
             }
         }
     }
+}
 
-    #[inline(always)]
-    fn voxel(&self, block: &mut Block, place: usize, point: &Vector3<f32>, pixel: &Pixel) {
-        let truncation = self.truncation_m.max(self.sigmas_floor + self.sigmas_quadratic * pixel.depth * pixel.depth);
-        let [nx, ny, nz] = pixel.normal;
-        let to_plane = nx * point.x + ny * point.y + nz * point.z - pixel.offset;
-        let along_axis = pixel.depth - point.z;
+/// Updates distances and weights of a row and tells which voxels are near enough to the surface to take its colour.
+#[inline(always)]
+fn update_row(
+    update: &Update<'_>,
+    pixels: &[&Pixel; BLOCK_EDGE],
+    px: &Row,
+    py: &Row,
+    pz: &Row,
+    distances: &mut Row,
+    weights: &mut Row,
+) -> [bool; BLOCK_EDGE] {
+    let nx: Row = std::array::from_fn(|x| pixels[x].normal[0]);
+    let ny: Row = std::array::from_fn(|x| pixels[x].normal[1]);
+    let nz: Row = std::array::from_fn(|x| pixels[x].normal[2]);
+    let offset: Row = std::array::from_fn(|x| pixels[x].offset);
+    let depth: Row = std::array::from_fn(|x| pixels[x].depth);
+    let pixel_weight: Row = std::array::from_fn(|x| pixels[x].weight);
+    let mut near = [false; BLOCK_EDGE];
+    for x in 0..BLOCK_EDGE {
+        let truncation = update.truncation_m.max(update.sigmas_floor + update.sigmas_quadratic * depth[x] * depth[x]);
+        let to_plane = nx[x] * px[x] + ny[x] * py[x] + nz[x] * pz[x] - offset[x];
+        let along_axis = depth[x] - pz[x];
         // Behind the surface nothing is known. A steep plane reaches farther along the axis than across.
-        if to_plane < -truncation || along_axis < -3.0 * truncation {
-            return;
-        }
-        let mut weight = pixel.weight;
-        let mut distance = to_plane;
-        if to_plane > truncation || along_axis > 3.0 * truncation {
-            // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
-            // distance do not pull it away.
-            distance = self.truncation_m;
-        } else if to_plane < -self.falloff_m {
-            weight *= (to_plane + truncation) / (truncation - self.falloff_m);
-        }
-        let total = block.weight[place] + weight;
-        if total <= 0.0 {
-            return;
-        }
-        let share = weight / total;
-        block.distance[place] += (distance - block.distance[place]) * share;
-        block.weight[place] = total.min(self.max_weight);
-        if pixel.color[3] != 0 && to_plane.abs() < self.color_reach_m {
-            let color = &mut block.color[place];
-            let count = (color[3] + 1).min(MOST_COLORS);
-            for (mean, new) in color.iter_mut().zip(pixel.color).take(3) {
-                let (old, new) = (i32::from(*mean), i32::from(new) << 8);
-                *mean = (old + (new - old) / i32::from(count)) as u16;
-            }
-            color[3] = count;
-        }
+        let known = (depth[x] > 0.0) & (to_plane >= -truncation) & (along_axis >= -3.0 * truncation);
+        // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
+        // distance do not pull it away.
+        let free = (to_plane > truncation) | (along_axis > 3.0 * truncation);
+        let distance = if free { update.truncation_m } else { to_plane };
+        let falling = (to_plane + truncation) / (truncation - update.falloff_m);
+        let share_of_weight = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
+        let weight = if known { pixel_weight[x] * share_of_weight } else { 0.0 };
+        let total = weights[x] + weight;
+        let share = if total > 0.0 { weight / total } else { 0.0 };
+        distances[x] += (distance - distances[x]) * share;
+        weights[x] = total.min(update.max_weight);
+        near[x] = known & (to_plane.abs() < update.color_reach_m);
     }
+    near
+}
+
+#[inline(always)]
+fn update_color(update: &Update<'_>, colors: &mut [[u16; 4]; BLOCK_VOXELS], place: usize, new: [u8; 4]) {
+    let color = &mut colors[place];
+    let count = (color[3] + 1).min(MOST_COLORS);
+    let share = update.shares[usize::from(count)];
+    for (mean, new) in color.iter_mut().zip(new).take(3) {
+        let (old, new) = (f32::from(*mean), f32::from(new) * 256.0);
+        *mean = (old + (new - old) * share) as u16;
+    }
+    color[3] = count;
 }

@@ -83,11 +83,6 @@ impl TsdfOptions {
         ((wanted / 0.0005).round() * 0.0005).max(0.0005)
     }
 
-    /// Distance from the surface up to which voxels are kept, at a depth; metres.
-    pub(crate) fn truncation(&self, depth_m: f64) -> f64 {
-        (self.truncation_voxels * self.voxel_m).max(self.truncation_sigmas * self.filter.noise.sigma(depth_m))
-    }
-
     fn check(&self) -> Result<(), Error> {
         self.filter.check()?;
         let bad = |option, value: f64, need| Err(Error::Option { option, value: value.to_string(), need });
