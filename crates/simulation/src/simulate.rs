@@ -215,7 +215,7 @@ mod tests {
 
     fn config() -> SimulationConfig {
         SimulationConfig {
-            scene: SceneOptions { texel_at_1m_mm: Some(8.0), ..Default::default() },
+            scene: SceneOptions { texel_at_1m_mm: Some(16.0), ..Default::default() },
             ..Default::default()
         }
     }

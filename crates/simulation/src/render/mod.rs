@@ -320,7 +320,7 @@ mod tests {
     }
 
     fn small_scene() -> Scene {
-        Scene::new(&SceneOptions { texel_at_1m_mm: Some(12.0), ..Default::default() }, 300.0).unwrap()
+        Scene::new(&SceneOptions { texel_at_1m_mm: Some(25.0), ..Default::default() }, 300.0).unwrap()
     }
 
     #[test]
@@ -372,7 +372,7 @@ mod tests {
         let texels =
             |scene: &Scene| scene.model.textures.iter().map(|texture| texture.texel(3, 2)).collect::<Vec<[u8; 3]>>();
         assert_eq!(texels(&scene), texels(&again));
-        let other = Scene::new(&SceneOptions { seed: 2, texel_at_1m_mm: Some(12.0) }, 300.0).unwrap();
+        let other = Scene::new(&SceneOptions { seed: 2, texel_at_1m_mm: Some(25.0) }, 300.0).unwrap();
         assert_ne!(scene.model.vertices, other.model.vertices);
     }
 

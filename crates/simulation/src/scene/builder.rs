@@ -1,7 +1,7 @@
 //! Things made of sheets: cuboids, cylinders, panels, each sheet with a coat, then painted and lit all at once.
 
 use super::coat::Coat;
-use super::light::light_at;
+use super::light::{fill_covered, light_at};
 use super::model::{Face, Model};
 use super::raycast::RayCaster;
 use crate::Texture;
@@ -226,7 +226,7 @@ impl Builder {
                             light.push(light_at(caster, &point, &normal));
                         }
                     }
-                    canvas.shine(&light, columns, rows);
+                    canvas.shine(&fill_covered(&mut light, columns), columns, rows);
                 }
                 let texel_m = f64::from(canvas.texel_m);
                 (canvas.into_texture(), texel_m)
