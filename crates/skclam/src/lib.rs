@@ -9,6 +9,7 @@ pub mod evaluation;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
+pub mod reproduction;
 pub mod summary;
 pub mod trajectory;
 pub mod virtual_cell;
