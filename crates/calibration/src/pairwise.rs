@@ -2,7 +2,7 @@
 //!
 //! The chain rule works at the level of the pair: every match adds to the 6 x 6 normal matrix of its pair's relative twist (15 x 15 with free
 //! intrinsics), and one product a pair takes that to the parameters, so that the cost a match does not depend on how many are free.
-//! A search on a sample of the matches finds the basin (Tukey's biweight, narrowing with the median residual, from several widths); then all matches are
+//! A search on a sample of the matches finds the basin (Tukey's biweight, narrowing with the smallest third of the residuals, from several widths); then all matches are
 //! fitted, and the scale of the loss is that of the residuals that fit, round by round until it settles.
 
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
@@ -13,7 +13,7 @@ use crate::levenberg_marquardt::{
 use crate::motion::Motion;
 use crate::pairwise_system::PairwiseSystem;
 use crate::prior::{self, Priors};
-use crate::robust::{median, noise_scale};
+use crate::robust::{coarse_scale, median, noise_scale};
 use crate::{
     Calibration, CalibrationError, Correspondences, Free, Loss, Model, Noise, PairMatches, Parameter, PostureFit,
     PriorPolicy, Termination, Warning, uncertainty,
@@ -131,8 +131,8 @@ impl Problem<'_> {
         Ok(descent)
     }
 
-    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model with the least
-    /// median residual wins. Returns it with the scale of its noise.
+    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model whose smallest third of
+    /// residuals is smallest wins. Returns it with the scale of its noise.
     fn search(
         &self,
         start: &Model,
@@ -154,11 +154,11 @@ impl Problem<'_> {
         let mut best: Option<(f64, Model)> = None;
         for width in SEARCH_WIDTHS {
             let mut model = start.clone();
-            let mut scale = median_scale(&system.residuals(&model)?);
+            let mut scale = coarse_scale(&system.residuals(&model)?);
             for _ in 0..SEARCH_ROUNDS {
                 let round = Round { loss: Loss::Tukey(width), sigma: scale.max(EXACT_PX) };
                 model = self.descend(&system, &model, &round, SEARCH_ITERATIONS, effort)?.state;
-                let next = median_scale(&system.residuals(&model)?);
+                let next = coarse_scale(&system.residuals(&model)?);
                 let settled = (next / scale - 1.0).abs() < 0.05 || next <= EXACT_PX;
                 scale = next;
                 if settled {
@@ -305,10 +305,6 @@ fn free_parameters(free: &Free, nominal: &Rig, motion: &Motion) -> Result<Vec<Pa
         return Err(CalibrationError::NothingFree);
     }
     Ok(parameters)
-}
-
-fn median_scale(residuals: &[f64]) -> f64 {
-    1.4826 * median(&mut residuals.iter().map(|r| r.abs()).collect::<Vec<_>>())
 }
 
 fn degrees_of_freedom_factor(residuals: usize, parameters: usize) -> f64 {

@@ -92,16 +92,30 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     0.5 * (lower + upper)
 }
 
+/// Value below which `fraction` of the values lie; 0 of nothing. Reorders its argument.
+pub(crate) fn quantile(values: &mut [f64], fraction: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let at = ((values.len() as f64 * fraction) as usize).min(values.len() - 1);
+    *values.select_nth_unstable_by(at, f64::total_cmp).1
+}
+
+/// Sigma by the third of the residuals that are smallest, so that up to six in ten may be anything; coarse.
+pub(crate) fn coarse_scale(residuals: &[f64]) -> f64 {
+    // A third of a standard normal lies within 0.4307.
+    quantile(&mut residuals.iter().map(|r| r.abs()).collect::<Vec<_>>(), 1.0 / 3.0) / 0.430_727
+}
+
 /// Beyond so many sigmas a residual says nothing about the noise.
 const TRUNCATION: f64 = 2.5;
 /// Variance of a standard normal truncated there: `1 - 2 c phi(c) / (2 Phi(c) - 1)`.
 const TRUNCATED_VARIANCE: f64 = 0.911_256;
 
-/// Sigma of the noise under residuals of which up to nearly half may be anything: the median of the absolute residuals, then the
-/// fixed point of the standard deviation within 2.5 sigma, corrected for the truncation. 0 of nothing.
+/// Sigma of the noise under residuals of which up to nearly half may be anything: [`coarse_scale`], then the fixed point of the standard deviation within 2.5 sigma, corrected for the truncation. 0 of nothing.
 pub(crate) fn noise_scale(residuals: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-    let mut sigma = 1.4826 * median(&mut sizes);
+    let sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    let mut sigma = coarse_scale(residuals);
     for _ in 0..50 {
         let (mut sum, mut count) = (0.0, 0usize);
         for r in sizes.iter().filter(|r| **r < TRUNCATION * sigma) {

@@ -5,7 +5,7 @@
 
 use crate::bundle::reduced::ResidualSize;
 use crate::bundle::state::NoiseScales;
-use crate::robust::median;
+use crate::robust::{median, quantile};
 use crate::{Loss, PostureFit, ReprojectionStatistics};
 
 /// Pixel residuals (two coordinates) beyond so many sigmas say nothing about the noise.
@@ -26,10 +26,10 @@ const EXACT_DEPTH: f64 = 1e-8;
 pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, freedom: f64) -> NoiseScales {
     let pixels: Vec<(f64, f64)> =
         sizes.iter().filter(|s| s.pixel.is_finite()).map(|s| (s.pixel, 0.5 * s.pixel_freedom)).collect();
-    // The median of a two-dimensional normal's length is 1.1774 sigma.
-    let pixel = component(&pixels, 1.1774, PIXEL_GATE, 2.0 * PIXEL_TRUNCATION);
+    // A third of a two-dimensional normal lies within 0.9005 sigma, a third of a one-dimensional one within 0.4307.
+    let pixel = component(&pixels, 0.9005, PIXEL_GATE, 2.0 * PIXEL_TRUNCATION);
     let depths: Vec<(f64, f64)> = sizes.iter().filter_map(|s| s.depth).map(|(u, f)| (u.abs(), f)).collect();
-    let depth = component(&depths, 0.6745, DEPTH_GATE, DEPTH_TRUNCATION);
+    let depth = component(&depths, 0.4307, DEPTH_GATE, DEPTH_TRUNCATION);
     let share = freedom.max(1e-3).sqrt();
     NoiseScales {
         pixel: (old.pixel * pixel / share).max(EXACT_PX),
@@ -38,15 +38,15 @@ pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, freedom: f64) 
     }
 }
 
-/// Scale of residuals `(size, share of its degrees of freedom)`: median first, then the fixed point within the gate.
-fn component(residuals: &[(f64, f64)], median_of_one: f64, gate: f64, mean_square: f64) -> f64 {
+/// Scale of residuals `(size, share of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
+fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square: f64) -> f64 {
     // A sight that its own point swallows says nothing.
     let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, freedom)| *freedom > 0.02).collect();
     let mut sizes: Vec<f64> = heard.iter().map(|(size, freedom)| size / freedom.sqrt()).collect();
     if sizes.is_empty() {
         return 1.0;
     }
-    let mut scale = median(&mut sizes) / median_of_one;
+    let mut scale = quantile(&mut sizes, 1.0 / 3.0) / third_of_one;
     for _ in 0..30 {
         let (mut sum, mut freedom) = (0.0, 0.0);
         for (size, share) in &heard {

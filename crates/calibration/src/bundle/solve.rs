@@ -4,7 +4,7 @@ use crate::bundle::adjust::{Adjustment, marginal, posed_state, variances};
 use crate::bundle::noise::{self, OUTLIER_SIGMAS, efficiency_factor, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::reduced::ResidualSize;
-use crate::bundle::start::pairs_from_tracks;
+use crate::bundle::start::{pairs_from_tracks, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
 use crate::error_function::epipolar_statistics;
 use crate::identifiability::identify;
@@ -126,12 +126,31 @@ pub fn calibrate_bundle(
     let solve = Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options };
     let mut adjusted = solve.adjust(&start, noise, joints, all)?;
     let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
-    let suspects = suspects(&fits);
+    let mut suspects = suspects(&fits);
     if !suspects.is_empty() && options.leave_out_suspects {
-        let keep = |posture: usize| !suspects.contains(&posture);
-        let rest = Observations::new(nominal, data, &keep, &mut Vec::new())?;
-        adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, rest)?;
-        let told: Vec<PostureFit> = suspects.iter().map(|&posture| fits[posture]).collect();
+        let without = |out: &[usize]| {
+            let keep = |posture: usize| !out.contains(&posture);
+            Observations::new(nominal, data, &keep, &mut Vec::new())
+        };
+        adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, without(&suspects)?)?;
+        // A wrong posture spoils those that share its tracks: each is heard again beside those that are right.
+        let all_out = suspects.clone();
+        let mut told = Vec::new();
+        for &posture in &all_out {
+            let others: Vec<usize> = all_out.iter().copied().filter(|other| *other != posture).collect();
+            let beside = without(&others)?;
+            let sizes =
+                solve.evaluate(&adjusted.state.model, &adjusted.state.deviations, &beside, adjusted.noise, None)?;
+            let beside = posture_fits(&sizes, data.postures.len());
+            if self::suspects(&beside).contains(&posture) {
+                told.push(beside[posture]);
+            } else {
+                suspects.retain(|suspect| *suspect != posture);
+            }
+        }
+        if suspects.len() < all_out.len() {
+            adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, without(&suspects)?)?;
+        }
         fits = posture_fits(&adjusted.sizes, data.postures.len());
         suspects.iter().zip(told).for_each(|(&posture, fit)| fits[posture] = fit);
     }
@@ -166,6 +185,46 @@ impl Solve<'_> {
             loss,
             noise,
         }
+    }
+
+    /// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be triangulated take
+    /// the point of `fallback`, or are left out.
+    fn evaluate(
+        &self,
+        model: &Model,
+        deviations: &[f64],
+        observations: &Observations,
+        noise: NoiseScales,
+        fallback: Option<&State>,
+    ) -> Result<Vec<ResidualSize>, CalibrationError> {
+        let mut observations = observations.clone();
+        let priors = Priors { sigmas: Vec::new() };
+        let loss = Loss::Cauchy(20.0);
+        let mut state = posed_state(model, deviations.to_vec(), self.motion, &observations, &noise, loss)?;
+        state.deviations = Vec::new();
+        let mut points = triangulate_all(&observations, &state.view(&noise, loss));
+        match fallback {
+            Some(known) => {
+                points.iter_mut().zip(&known.points).for_each(|(point, known)| *point = point.or(Some(*known)));
+                state.base_from_board = state.base_from_board.or(known.base_from_board);
+            }
+            None => observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>()),
+        }
+        state.points = points.into_iter().flatten().collect();
+        let adjustment = Adjustment {
+            nominal: self.nominal,
+            motion: self.motion,
+            observations: &observations,
+            parameters: &[],
+            priors: &priors,
+            loss,
+            noise,
+        };
+        let state = match (deviations.is_empty(), state.base_from_board) {
+            (true, Some(_)) => adjustment.descend(state, 50)?.state,
+            _ => state,
+        };
+        Ok(adjustment.residual_sizes(&state))
     }
 
     fn estimates_deviations(&self) -> bool {
@@ -271,7 +330,7 @@ impl Solve<'_> {
             warnings.push(Warning::ManyOutliers { fraction: outlier_fraction });
         }
         let nominal_model = Model::new(self.nominal.clone());
-        let before = evaluate(self.nominal, &nominal_model, self.motion, &observations, noise, loss, Some(&state))?;
+        let before = self.evaluate(&nominal_model, &[], &observations, noise, Some(&state))?;
         Ok(Calibration {
             parameters: estimates,
             covariance: Some(covariance),
@@ -293,32 +352,6 @@ impl Solve<'_> {
             model: state.model,
         })
     }
-}
-
-/// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be triangulated take the point of
-/// `fallback`.
-pub(crate) fn evaluate(
-    nominal: &Rig,
-    model: &Model,
-    motion: &Motion,
-    observations: &Observations,
-    noise: NoiseScales,
-    loss: Loss,
-    fallback: Option<&State>,
-) -> Result<Vec<ResidualSize>, CalibrationError> {
-    let priors = Priors { sigmas: Vec::new() };
-    let adjustment = Adjustment { nominal, motion, observations, parameters: &[], priors: &priors, loss, noise };
-    let mut state = posed_state(model, Vec::new(), motion, observations, &noise, loss)?;
-    if state.base_from_board.is_none() && !observations.corners.is_empty() {
-        state.base_from_board = fallback.and_then(|state| state.base_from_board);
-    }
-    let wide = Adjustment { loss: Loss::Cauchy(20.0), ..adjustment };
-    let points = wide.triangulate(&state).into_iter().enumerate();
-    state.points = points
-        .map(|(track, point)| point.or_else(|| fallback.map(|state| state.points[track])).unwrap_or_default())
-        .collect();
-    let state = if state.base_from_board.is_some() { wide.descend(state, 50)?.state } else { state };
-    Ok(wide.residual_sizes(&state))
 }
 
 /// RMS over the sights that fit the calibrated model, so that before and after speak of the same; median over all.
