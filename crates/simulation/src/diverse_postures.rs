@@ -208,9 +208,8 @@ fn acceptable(
             }
         }
     }
-    let own = RayCaster::new(&body.model_at(joint_values)?);
     let camera = &rig.color;
-    let (mut points, mut distances, mut plain, mut arm) = (Vec::new(), Vec::new(), 0usize, 0usize);
+    let (mut points, mut distances, mut plain) = (Vec::new(), Vec::new(), 0usize);
     for row in 0..RAYS.1 {
         for column in 0..RAYS.0 {
             let pixel = Pixel::new(
@@ -222,7 +221,6 @@ fn acceptable(
             if hit.distance < options.clearance_m {
                 return Ok(None);
             }
-            arm += usize::from(own.is_blocked(&(eye + 0.005 * way), &way, hit.distance));
             plain += usize::from(scene.is_plain(hit.face));
             points.push(eye + way * hit.distance);
             distances.push(hit.distance);
@@ -232,9 +230,16 @@ fn acceptable(
     let median = distances[distances.len() / 2];
     let [near, far] = options.view_distance_m;
     let rays = points.len() as f64;
-    let seen = (near..=far).contains(&median)
-        && plain as f64 <= options.most_plain * rays
-        && arm as f64 <= options.most_arm * rays;
+    if !(near..=far).contains(&median) || plain as f64 > options.most_plain * rays {
+        return Ok(None);
+    }
+    // Last, because it is dear: the arm's own body in the view.
+    let own = RayCaster::new(&body.model_at(joint_values)?);
+    let hidden = points.iter().filter(|point| {
+        let way = *point - eye;
+        own.is_blocked(&(eye + 0.005 * way.normalize()), &way, 1.0)
+    });
+    let seen = hidden.count() as f64 <= options.most_arm * rays;
     Ok(seen.then_some(View { base_from_color, points }))
 }
 

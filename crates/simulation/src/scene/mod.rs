@@ -10,6 +10,7 @@ mod model;
 mod print;
 mod raycast;
 mod texture;
+mod wear;
 
 pub use model::{Face, Model, Triangle};
 pub use raycast::{Hit, RayCaster};
