@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use skclam_geometry::{FundamentalMatrix, Pixel, Point3};
 use skclam_kinematics::SerialChain;
 use skclam_rig::Rig;
-use skclam_simulation::{ArmBody, PaperView, RayCaster, paper_parameters, paper_postures};
+use skclam_simulation::{ArmBody, PaperView, RayCaster, paper_parameters, paper_postures, perturb_paper};
 
 fn hp3j() -> Rig {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml");
@@ -139,6 +139,58 @@ fn the_default_view_constrains_all_ten_angles() {
     assert!(bound.angle_deg < 0.03, "{}", bound.angle_deg);
     assert!(bound.flange_mm < 0.2, "{}", bound.flange_mm);
     assert!(lowest > 0.04 && covered < 0.03, "{lowest} {covered}");
+}
+
+#[test]
+fn the_papers_gate_keeps_true_matches_of_the_papers_arm() {
+    let nominal = hp3j();
+    let truth = perturb_paper(&nominal).unwrap();
+    let chain = nominal.robot.as_ref().unwrap();
+    let postures = paper_postures(chain, &PaperView::default().base_from_flange(&nominal)).unwrap();
+    let pose = |rig: &Rig, joints: &[f64]| {
+        rig.robot.as_ref().unwrap().base_from_flange(joints).unwrap() * rig.flange_from_color
+    };
+    let mut random = Lcg(3);
+    let mut distances = Vec::new();
+    let mut shifts = Vec::new();
+    for pair in postures.windows(2) {
+        let true_a_from_b = pose(&truth, &pair[0]).inverse() * pose(&truth, &pair[1]);
+        let guess = pose(&nominal, &pair[0]).inverse() * pose(&nominal, &pair[1]);
+        shifts.push(1e3 * true_a_from_b.translation.vector.norm());
+        let fundamental = FundamentalMatrix::from_pose(&nominal.color, &nominal.color, &guess);
+        for _ in 0..200 {
+            let in_a = Pixel::new(random.unit() * 1919.0, random.unit() * 1079.0);
+            let point = Point3::from(nominal.color.unproject(&in_a) * (1.0 + 1.4 * random.unit()));
+            let in_b = nominal.color.project(&(true_a_from_b.inverse() * point));
+            if let Some(in_b) = in_b.filter(|pixel| nominal.color.contains(pixel)) {
+                let (a, b) = fundamental.point_line_distances(&in_a, &in_b);
+                distances.extend([a, b]);
+            }
+        }
+    }
+    let position =
+        |rig: &Rig, joints: &[f64]| rig.robot.as_ref().unwrap().base_from_flange(joints).unwrap().translation.vector;
+    let error_mm: Vec<f64> =
+        postures.iter().map(|joints| 1e3 * (position(&truth, joints) - position(&nominal, joints)).norm()).collect();
+    distances.sort_by(f64::total_cmp);
+    shifts.sort_by(f64::total_cmp);
+    // Eq. (7): the root of the mean distance, as the paper prints it.
+    let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+    let kept = distances.iter().filter(|distance| **distance < 200.0).count() as f64 / distances.len() as f64;
+    println!(
+        "before calibration: flange {:.2} mm, point-line distance mean {mean:.1}, median {:.1} px, Eq. (7) {:.2}; \
+         {:.1} % within 200 px; baselines {:.1} to {:.1}, median {:.1} mm; overlap {:.2}",
+        error_mm.iter().sum::<f64>() / error_mm.len() as f64,
+        distances[distances.len() / 2],
+        mean.sqrt(),
+        100.0 * kept,
+        shifts[0],
+        shifts[shifts.len() - 1],
+        shifts[shifts.len() / 2],
+        distances.len() as f64 / (2.0 * 200.0 * 72.0),
+    );
+    assert!(kept > 0.9, "{kept}");
+    assert!(distances.len() as f64 > 0.7 * 2.0 * 200.0 * 72.0, "neighbours overlap");
 }
 
 /// How the default was chosen: `cargo test --release -p skclam-simulation --test paper_view -- --ignored --nocapture`.
