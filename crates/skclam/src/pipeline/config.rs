@@ -41,7 +41,9 @@ pub struct Config {
     pub nelder_mead: NelderMeadOptions,
     /// Settings of the pairwise least squares; `free` above comes first.
     pub pairwise: PairwiseOptions,
-    /// The map.
+    /// Edge of the map's voxels, metres; `None`: what the depth camera resolves at the range at which it was used.
+    pub voxel_m: Option<f64>,
+    /// The map; `voxel_m` above comes first.
     pub cloud: CloudOptions,
 }
 
@@ -58,6 +60,7 @@ impl Default for Config {
             estimator: Estimator::Sampson,
             nelder_mead: NelderMeadOptions::default(),
             pairwise: PairwiseOptions::default(),
+            voxel_m: None,
             cloud: CloudOptions::default(),
         }
     }

@@ -4,8 +4,8 @@ use super::{Config, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use crate::trajectory::StampedPose;
-use skclam_geometry::Isometry3;
-use skclam_mapping::{CloudBuilder, PointCloud, View};
+use skclam_geometry::{DepthCamera, Isometry3};
+use skclam_mapping::{CloudBuilder, CloudOptions, PointCloud, TsdfOptions, View};
 use skclam_rig::Rig;
 
 /// `base_from_camera` at every posture.
@@ -35,9 +35,10 @@ pub fn build_maps<const N: usize>(
     };
     progress.begin(Stage::Map, dataset.len() as u64);
     let (color_mask, depth_mask) = (dataset.color_mask()?, dataset.depth_mask()?);
+    let options = cloud_options(dataset, &depth_camera, config)?;
     let mut builders = Vec::with_capacity(N);
     for _ in 0..N {
-        builders.push(CloudBuilder::new(config.cloud)?);
+        builders.push(CloudBuilder::new(options)?);
     }
     for index in 0..dataset.len() {
         if progress.stop_requested() {
@@ -61,4 +62,27 @@ pub fn build_maps<const N: usize>(
     }
     let clouds: Vec<PointCloud> = builders.into_iter().map(CloudBuilder::finish).collect();
     Ok(clouds.try_into().ok())
+}
+
+/// Images that are looked at for the range of depths.
+const RANGE_IMAGES: usize = 8;
+
+/// The settings of the cloud with a voxel that fits the depth camera at the range at which it was used.
+fn cloud_options(dataset: &Dataset, depth_camera: &DepthCamera, config: &Config) -> Result<CloudOptions, RunError> {
+    if let Some(voxel_m) = config.voxel_m {
+        return Ok(CloudOptions { voxel_m: Some(voxel_m), ..config.cloud });
+    }
+    let mut depths = Vec::new();
+    for index in (0..dataset.len()).step_by(dataset.len().div_ceil(RANGE_IMAGES)) {
+        if let Some(depth) = dataset.depth(index)? {
+            depths.extend(depth.as_slice().iter().copied().step_by(7).filter(|&z| z > 0.0));
+        }
+    }
+    if depths.is_empty() {
+        return Ok(config.cloud);
+    }
+    let middle = depths.len() / 2;
+    let (_, median, _) = depths.select_nth_unstable_by(middle, f32::total_cmp);
+    let voxel_m = TsdfOptions::voxel_for(&depth_camera.camera, f64::from(*median), &config.cloud.filter);
+    Ok(CloudOptions { voxel_m: Some(voxel_m), ..config.cloud })
 }

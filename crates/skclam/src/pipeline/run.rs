@@ -96,12 +96,27 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         keypoints: images.iter().map(|image| image.features.keypoints.len()).collect(),
         calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),
         map: None,
-        warnings: calibration.warnings.iter().map(Warning::to_string).collect(),
+        warnings: warnings(&calibration, pairs.len()),
         configuration: config.clone(),
         stages: Vec::new(),
         peak_memory_mib: None,
     };
     Ok(Outcome { calibration, rig, trajectory, maps: None, summary })
+}
+
+/// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
+/// counts of each stand in the summary.
+fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
+    const TOLD_ONE_BY_ONE: usize = 3;
+    let few = calibration.warnings.iter().filter(|warning| matches!(warning, Warning::FewMatches { .. })).count();
+    let one_by_one = few <= TOLD_ONE_BY_ONE;
+    let told =
+        calibration.warnings.iter().filter(|warning| one_by_one || !matches!(warning, Warning::FewMatches { .. }));
+    let mut texts: Vec<String> = told.map(Warning::to_string).collect();
+    if !one_by_one {
+        texts.push(format!("{few} of {pairs} pairs share hardly any matches; see \"pairs\" in summary.json"));
+    }
+    texts
 }
 
 /// One sentence that a person who is no expert understands.
