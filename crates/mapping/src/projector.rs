@@ -45,19 +45,34 @@ impl Projector {
     /// Column and row of a point; meaningless unless [`Projector::sees`] them.
     #[inline(always)]
     pub(crate) fn project(&self, x: f32, y: f32, z: f32) -> (f32, f32) {
+        if self.distorted { self.project_distorted(x, y, z) } else { self.project_straight(x, y, z) }
+    }
+
+    /// Whether the camera has any distortion.
+    pub(crate) fn is_distorted(&self) -> bool {
+        self.distorted
+    }
+
+    /// As [`Projector::project`] for a camera without distortion.
+    #[inline(always)]
+    pub(crate) fn project_straight(&self, x: f32, y: f32, z: f32) -> (f32, f32) {
         let inverse_z = 1.0 / z;
-        let (mut x, mut y) = (x * inverse_z, y * inverse_z);
-        if self.distorted {
-            let [k1, k2, p1, p2, k3] = self.distortion;
-            let r2 = x * x + y * y;
-            let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-            let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
-            let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
-            let folded = r2 > self.farthest;
-            x = if folded { f32::NAN } else { xd };
-            y = if folded { f32::NAN } else { yd };
-        }
-        (x * self.fx + self.cx, y * self.fy + self.cy)
+        (x * inverse_z * self.fx + self.cx, y * inverse_z * self.fy + self.cy)
+    }
+
+    /// As [`Projector::project`] for any camera.
+    #[inline(always)]
+    pub(crate) fn project_distorted(&self, x: f32, y: f32, z: f32) -> (f32, f32) {
+        let inverse_z = 1.0 / z;
+        let (x, y) = (x * inverse_z, y * inverse_z);
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+        let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
+        let folded = r2 > self.farthest;
+        let xd = if folded { f32::NAN } else { xd };
+        (xd * self.fx + self.cx, yd * self.fy + self.cy)
     }
 
     /// Whether a point at this depth and position lies in the image; false for anything that is not a number.

@@ -3,6 +3,7 @@
 use super::block::{BLOCK_VOXELS, MOST_COLORS};
 use super::frame::{Frame, Pixel};
 use super::{BLOCK_EDGE, Block, Tsdf};
+use crate::projector::Projector;
 use multiversion::multiversion;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -76,17 +77,10 @@ fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
         let (y, z) = ((row % BLOCK_EDGE) as f32, (row / BLOCK_EDGE) as f32);
         let start = first + update.steps[1] * y + update.steps[2] * z;
         let step = update.steps[0];
-        let (mut px, mut py, mut pz): (Row, Row, Row) = ([0.0; 8], [0.0; 8], [0.0; 8]);
-        let mut places = [0i32; BLOCK_EDGE];
-        for x in 0..BLOCK_EDGE {
-            px[x] = start.x + step.x * x as f32;
-            py[x] = start.y + step.y * x as f32;
-            pz[x] = start.z + step.z * x as f32;
-            let (u, v) = frame.projector.project(px[x], py[x], pz[x]);
-            let seen = frame.projector.sees(pz[x], u, v);
-            let (u, v) = if seen { (u as i32, v as i32) } else { (0, 0) };
-            places[x] = if seen { v * width + u } else { nothing };
-        }
+        let px: Row = std::array::from_fn(|x| start.x + step.x * x as f32);
+        let py: Row = std::array::from_fn(|x| start.y + step.y * x as f32);
+        let pz: Row = std::array::from_fn(|x| start.z + step.z * x as f32);
+        let places = places_seen(&frame.projector, &px, &py, &pz, width, nothing);
         let pixels: [&Pixel; BLOCK_EDGE] = std::array::from_fn(|x| &frame.surface[places[x] as usize]);
         if pixels.iter().all(|pixel| pixel.depth <= 0.0) {
             continue;
@@ -101,6 +95,30 @@ fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
             }
         }
     }
+}
+
+/// The pixels at which the voxels of a row are seen, row-major; `nothing` for those outside the image.
+#[inline(always)]
+fn places_seen(projector: &Projector, px: &Row, py: &Row, pz: &Row, width: i32, nothing: i32) -> [i32; BLOCK_EDGE] {
+    let (mut u, mut v): (Row, Row) = ([0.0; BLOCK_EDGE], [0.0; BLOCK_EDGE]);
+    // Two loops without a branch inside, so that each becomes a handful of instructions for the whole row.
+    if projector.is_distorted() {
+        for x in 0..BLOCK_EDGE {
+            (u[x], v[x]) = projector.project_distorted(px[x], py[x], pz[x]);
+        }
+    } else {
+        for x in 0..BLOCK_EDGE {
+            (u[x], v[x]) = projector.project_straight(px[x], py[x], pz[x]);
+        }
+    }
+    let mut places = [nothing; BLOCK_EDGE];
+    for x in 0..BLOCK_EDGE {
+        let seen = projector.sees(pz[x], u[x], v[x]);
+        let (column, line) = (if seen { u[x] } else { 0.0 }, if seen { v[x] } else { 0.0 });
+        let place = line as i32 * width + column as i32;
+        places[x] = if seen { place } else { nothing };
+    }
+    places
 }
 
 /// Updates distances and weights of a row and tells which voxels are near enough to the surface to take its colour.
@@ -120,7 +138,7 @@ fn update_row(
     let offset: Row = std::array::from_fn(|x| pixels[x].offset);
     let depth: Row = std::array::from_fn(|x| pixels[x].depth);
     let pixel_weight: Row = std::array::from_fn(|x| pixels[x].weight);
-    let mut near = [false; BLOCK_EDGE];
+    let (mut distance, mut weight, mut near) = ([0.0; BLOCK_EDGE], [0.0; BLOCK_EDGE], [false; BLOCK_EDGE]);
     for x in 0..BLOCK_EDGE {
         let truncation = update.truncation_m.max(update.sigmas_floor + update.sigmas_quadratic * depth[x] * depth[x]);
         let to_plane = nx[x] * px[x] + ny[x] * py[x] + nz[x] * pz[x] - offset[x];
@@ -130,15 +148,21 @@ fn update_row(
         // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
         // distance do not pull it away.
         let free = (to_plane > truncation) | (along_axis > 3.0 * truncation);
-        let distance = if free { update.truncation_m } else { to_plane };
+        distance[x] = if free { update.truncation_m } else { to_plane };
         let falling = (to_plane + truncation) / (truncation - update.falloff_m);
         let share_of_weight = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
-        let weight = if known { pixel_weight[x] * share_of_weight } else { 0.0 };
-        let total = weights[x] + weight;
-        let share = if total > 0.0 { weight / total } else { 0.0 };
-        distances[x] += (distance - distances[x]) * share;
-        weights[x] = total.min(update.max_weight);
+        weight[x] = if known { pixel_weight[x] * share_of_weight } else { 0.0 };
         near[x] = known & (to_plane.abs() < update.color_reach_m);
+    }
+    // The voxels themselves are far away in memory: no use fetching those that stay as they are.
+    if weight == [0.0; BLOCK_EDGE] {
+        return near;
+    }
+    for x in 0..BLOCK_EDGE {
+        let total = weights[x] + weight[x];
+        let share = if total > 0.0 { weight[x] / total } else { 0.0 };
+        distances[x] += (distance[x] - distances[x]) * share;
+        weights[x] = total.min(update.max_weight);
     }
     near
 }
