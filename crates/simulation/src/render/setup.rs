@@ -79,6 +79,8 @@ pub(crate) struct ViewedTriangle {
     pub face: u32,
     /// Left, top, right, bottom of what lies before the near plane, undistorted pixels.
     pub bounds: [f32; 4],
+    /// z of the nearest corner, metres.
+    nearest_m: f64,
 }
 
 impl<'a> ViewedFace<'a> {
@@ -158,9 +160,12 @@ pub(crate) fn view<'a>(
                 let norm = (linear.0[0] * linear.0[0] + linear.0[1] * linear.0[1]).sqrt();
                 linear.divided(if norm > 0.0 { norm } else { 1.0 })
             };
-            triangles.push(ViewedTriangle { edges: [edge(0, 1), edge(1, 2), edge(2, 0)], face, bounds });
+            let nearest_m = corners.iter().map(|corner| corner.z).fold(f64::INFINITY, f64::min);
+            triangles.push(ViewedTriangle { edges: [edge(0, 1), edge(1, 2), edge(2, 0)], face, bounds, nearest_m });
         }
     }
+    // Near ones first: what lies behind them is then dismissed at a glance. Stable, so that ties keep their order.
+    triangles.sort_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
     (faces, triangles)
 }
 

@@ -23,6 +23,8 @@ pub(crate) struct Tile<const N: usize> {
     pub area: TileArea,
     pub pixels: Vec<IdealPixel>,
     inverse_depths: Vec<[f32; N]>,
+    /// The smallest of each pixel's inverse depths: what is farther all over cannot be seen there.
+    farthest: Vec<f32>,
     faces: Vec<[u32; N]>,
 }
 
@@ -42,6 +44,7 @@ where
             area: TileArea { origin: (0, 0), width: 0, height: 0 },
             pixels: vec![nowhere; PIXELS],
             inverse_depths: vec![[0.0; N]; PIXELS],
+            farthest: vec![0.0; PIXELS],
             faces: vec![[NO_FACE; N]; PIXELS],
         }
     }
@@ -50,6 +53,7 @@ where
     pub fn resolve(&mut self, area: TileArea, lens: &Lens, faces: &[ViewedFace<'_>], triangles: &[ViewedTriangle]) {
         self.area = area;
         self.inverse_depths.fill([0.0; N]);
+        self.farthest.fill(0.0);
         self.faces.fill([NO_FACE; N]);
         // Bounds of the tile in the undistorted image, with the reach of a pixel's samples.
         let (mut left, mut top, mut right, mut bottom) = (f32::MAX, f32::MAX, f32::MIN, f32::MIN);
@@ -99,18 +103,22 @@ where
     fn draw(&mut self, triangle: &LocalTriangle, columns: (u32, u32), rows: (u32, u32), reach: f32) {
         let edges = &triangle.edges;
         let margins = edges.map(|edge| reach * (edge.x.abs() + edge.y.abs()));
-        let farthest = 1.0 / NEAR_M as f32;
+        let nearest = 1.0 / NEAR_M as f32;
+        let w = triangle.inverse_depth;
+        let spread = reach * (w.x.abs() + w.y.abs());
         for row in rows.0..rows.1 {
             for column in columns.0..columns.1 {
                 let index = (row * TILE + column) as usize;
                 let pixel = &self.pixels[index];
+                let w_centre = w.at(pixel.x, pixel.y);
+                if w_centre + spread <= self.farthest[index] {
+                    continue;
+                }
                 let at = edges.map(|edge| edge.at(pixel.x, pixel.y));
                 if (0..3).any(|edge| at[edge] + margins[edge] < 0.0) {
                     continue;
                 }
                 let inside = (0..3).all(|edge| at[edge] - margins[edge] >= 0.0);
-                let w = triangle.inverse_depth;
-                let w_centre = w.at(pixel.x, pixel.y);
                 let (depths, faces) = (&mut self.inverse_depths[index], &mut self.faces[index]);
                 // Offsets of the samples in the undistorted image.
                 let offset = |sample: usize| {
@@ -121,7 +129,7 @@ where
                     for sample in 0..N {
                         let (dx, dy) = offset(sample);
                         let inverse_depth = w_centre + w.x * dx + w.y * dy;
-                        let nearer = inverse_depth > depths[sample] && inverse_depth <= farthest;
+                        let nearer = inverse_depth > depths[sample] && inverse_depth <= nearest;
                         depths[sample] = if nearer { inverse_depth } else { depths[sample] };
                         faces[sample] = if nearer { triangle.face } else { faces[sample] };
                     }
@@ -130,11 +138,12 @@ where
                         let (dx, dy) = offset(sample);
                         let inverse_depth = w_centre + w.x * dx + w.y * dy;
                         let covered = (0..3).all(|edge| at[edge] + edges[edge].x * dx + edges[edge].y * dy >= 0.0);
-                        let nearer = covered & (inverse_depth > depths[sample]) & (inverse_depth <= farthest);
+                        let nearer = covered & (inverse_depth > depths[sample]) & (inverse_depth <= nearest);
                         depths[sample] = if nearer { inverse_depth } else { depths[sample] };
                         faces[sample] = if nearer { triangle.face } else { faces[sample] };
                     }
                 }
+                self.farthest[index] = depths.iter().fold(f32::INFINITY, |least, value| least.min(*value));
             }
         }
     }
