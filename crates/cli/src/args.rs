@@ -46,6 +46,11 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// Render a data set in the virtual cell: images, depth, postures, nominal and true rig.
     Simulate(SimulateArgs),
+    /// Draw a map (PLY) to a PNG file, without a window; two maps side by side with --beside.
+    #[command(
+        after_help = "Example:\n  skclam render result/map_nominal.ply --beside result/map.ply --view top --out maps.png"
+    )]
+    Render(RenderArgs),
     /// Repeat the paper's experiments in the virtual cell and print its tables beside ours.
     #[command(
         after_help = "With --quick: half-size images, a few minutes less. Without: 1920x1080, as in the paper.\n\
@@ -196,4 +201,72 @@ pub struct ReproduceArgs {
     /// Seed of scene, noise and RANSAC.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
+}
+
+/// From where a map is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ViewArg {
+    /// From before the robot.
+    Front,
+    /// From behind the robot.
+    Back,
+    /// From the robot's left.
+    Left,
+    /// From the robot's right.
+    Right,
+    /// From above.
+    Top,
+    /// From above at an angle, parallel projection.
+    Isometric,
+    /// From above at an angle, in perspective.
+    Perspective,
+}
+
+/// Arguments of `render`.
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// The map: a cloud or a mesh as PLY.
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub map: PathBuf,
+    /// A second map, drawn to the right of the first from the same place.
+    #[arg(long, value_name = "MAP", value_hint = ValueHint::FilePath)]
+    pub beside: Option<PathBuf>,
+    /// The picture.
+    #[arg(long, short, value_name = "PNG", value_hint = ValueHint::FilePath)]
+    pub out: PathBuf,
+    /// From where.
+    #[arg(long, value_enum, default_value = "perspective", conflicts_with_all = ["eye", "target"])]
+    pub view: ViewArg,
+    /// The viewer's place "x,y,z" in the base frame, metres.
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        allow_hyphen_values = true,
+        requires = "target"
+    )]
+    pub eye: Option<Vec<f64>>,
+    /// What the viewer looks at, "x,y,z", metres.
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        allow_hyphen_values = true,
+        requires = "eye"
+    )]
+    pub target: Option<Vec<f64>>,
+    /// Horizontal field of view with --eye, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 60.0)]
+    pub hfov_deg: f64,
+    /// Width of the picture of one map, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    pub width: u32,
+    /// Height of the picture, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 800, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    pub height: u32,
+    /// Radius of a point, millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 4.0)]
+    pub point_radius_mm: f64,
 }

@@ -31,6 +31,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Map(args) => commands::map::map(cli, args),
         Command::Evaluate(args) => commands::evaluate::evaluate(cli, args),
         Command::Simulate(args) => commands::simulate::simulate(cli, args),
+        Command::Render(args) => commands::render::render(cli, args),
         Command::Reproduce(args) => commands::reproduce::reproduce(cli, args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());

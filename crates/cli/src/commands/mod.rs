@@ -2,6 +2,7 @@
 
 pub mod evaluate;
 pub mod map;
+pub mod render;
 pub mod reproduce;
 pub mod run;
 pub mod simulate;

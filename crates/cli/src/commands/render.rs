@@ -1,0 +1,65 @@
+//! `skclam render`.
+
+use crate::args::{Cli, RenderArgs, ViewArg};
+use anyhow::{Context, Result, bail};
+use skclam::geometry::Point3;
+use skclam::mapping::{
+    Model, Projection, RenderCamera, RenderOptions, ViewPreset, read_ply, render as draw, side_by_side,
+};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// Pixels between two pictures.
+const GAP: u32 = 12;
+
+/// Draws a map, or two from the same place.
+pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
+    let options = RenderOptions { point_radius_m: args.point_radius_mm * 1e-3, ..RenderOptions::default() };
+    let model = read(&args.map)?;
+    let camera = camera(args, &model)?;
+    let mut picture = draw(&model, &camera, &options)?;
+    if let Some(beside) = &args.beside {
+        let second = draw(&read(beside)?, &camera, &options)?;
+        picture = side_by_side(&picture, &second, GAP, options.background);
+    }
+    // Written beside its place first, so that no half a picture stands there.
+    let partial = args.out.with_extension("partial.png");
+    picture.save(&partial).with_context(|| partial.display().to_string())?;
+    std::fs::rename(&partial, &args.out).with_context(|| args.out.display().to_string())?;
+    if cli.json {
+        println!(
+            "{}",
+            serde_json::json!({ "picture": args.out, "width": picture.width(), "height": picture.height() })
+        );
+    } else {
+        println!("{} x {}: {}", picture.width(), picture.height(), args.out.display());
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<Model> {
+    let file = File::open(path).with_context(|| path.display().to_string())?;
+    read_ply(BufReader::new(file)).with_context(|| path.display().to_string())
+}
+
+fn camera(args: &RenderArgs, model: &Model) -> Result<RenderCamera> {
+    if let (Some(eye), Some(target)) = (&args.eye, &args.target) {
+        let point = |numbers: &[f64]| Point3::new(numbers[0], numbers[1], numbers[2]);
+        if !(1.0..=170.0).contains(&args.hfov_deg) {
+            bail!("--hfov-deg {}: 1 to 170 is needed", args.hfov_deg);
+        }
+        let projection = Projection::Perspective { hfov: args.hfov_deg.to_radians() };
+        return Ok(RenderCamera::looking_at(point(eye), point(target), projection, args.width, args.height));
+    }
+    let preset = match args.view {
+        ViewArg::Front => ViewPreset::Front,
+        ViewArg::Back => ViewPreset::Back,
+        ViewArg::Left => ViewPreset::Left,
+        ViewArg::Right => ViewPreset::Right,
+        ViewArg::Top => ViewPreset::Top,
+        ViewArg::Isometric => ViewPreset::Isometric,
+        ViewArg::Perspective => ViewPreset::Perspective,
+    };
+    Ok(RenderCamera::framing(model, preset, args.width, args.height))
+}
