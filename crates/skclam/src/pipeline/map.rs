@@ -4,7 +4,9 @@ use super::{Config, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use crate::trajectory::StampedPose;
-use skclam_geometry::{DepthCamera, Isometry3};
+use image::GrayImage;
+use rayon::prelude::*;
+use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
 use skclam_mapping::{CloudBuilder, CloudOptions, PointCloud, TsdfOptions, View};
 use skclam_rig::Rig;
 
@@ -20,7 +22,8 @@ pub fn localize(dataset: &Dataset, rig: &Rig) -> Result<Vec<StampedPose>, RunErr
         .collect()
 }
 
-/// One map for each list of poses (one pose a posture): the images are decoded once for all of them.
+/// One map for each list of poses (one pose a posture), one after the other, so that only one of them is under
+/// construction at a time.
 ///
 /// `None` where the data set has no depth.
 pub fn build_maps<const N: usize>(
@@ -33,35 +36,68 @@ pub fn build_maps<const N: usize>(
     let Some(depth_camera) = rig.depth.filter(|_| dataset.records.iter().any(|record| record.depth.is_some())) else {
         return Ok(None);
     };
-    progress.begin(Stage::Map, dataset.len() as u64);
-    let (color_mask, depth_mask) = (dataset.color_mask()?, dataset.depth_mask()?);
+    progress.begin(Stage::Map, (N * dataset.len()) as u64);
     let options = cloud_options(dataset, &depth_camera, config)?;
-    let mut builders = Vec::with_capacity(N);
-    for _ in 0..N {
-        builders.push(CloudBuilder::new(options)?);
+    let sensors = Sensors {
+        depth_camera,
+        color_camera: rig.color,
+        color_mask: dataset.color_mask()?,
+        depth_mask: dataset.depth_mask()?,
+    };
+    let mut clouds = Vec::with_capacity(N);
+    for poses in poses {
+        clouds.push(build_map(dataset, poses, &sensors, options, progress)?);
     }
-    for index in 0..dataset.len() {
+    Ok(clouds.try_into().ok())
+}
+
+/// What all views have in common.
+struct Sensors {
+    depth_camera: DepthCamera,
+    color_camera: PinholeCamera,
+    color_mask: Option<GrayImage>,
+    depth_mask: Option<GrayImage>,
+}
+
+/// Images that are decoded side by side before they are added in order.
+const DECODED_TOGETHER: usize = 8;
+
+fn build_map(
+    dataset: &Dataset,
+    poses: &[Isometry3],
+    sensors: &Sensors,
+    options: CloudOptions,
+    progress: &dyn Progress,
+) -> Result<PointCloud, RunError> {
+    let mut builder = CloudBuilder::new(options)?;
+    let indices: Vec<usize> = (0..dataset.len()).collect();
+    for chunk in indices.chunks(DECODED_TOGETHER) {
         if progress.stop_requested() {
             return Err(RunError::Interrupted);
         }
-        if let Some(depth) = dataset.depth(index)? {
-            let color = dataset.color(index)?;
-            for (builder, poses) in builders.iter_mut().zip(poses) {
+        let decoded = chunk
+            .par_iter()
+            .map(|&index| match dataset.depth(index)? {
+                Some(depth) => Ok(Some((depth, dataset.color(index)?))),
+                None => Ok(None),
+            })
+            .collect::<Result<Vec<_>, RunError>>()?;
+        for (&index, images) in chunk.iter().zip(&decoded) {
+            if let Some((depth, color)) = images {
                 builder.add(&View {
-                    depth: &depth,
-                    color: Some(&color),
-                    depth_camera: &depth_camera,
-                    color_camera: &rig.color,
+                    depth,
+                    color: Some(color),
+                    depth_camera: &sensors.depth_camera,
+                    color_camera: &sensors.color_camera,
                     base_from_color: poses[index],
-                    depth_mask: depth_mask.as_ref(),
-                    color_mask: color_mask.as_ref(),
+                    depth_mask: sensors.depth_mask.as_ref(),
+                    color_mask: sensors.color_mask.as_ref(),
                 })?;
             }
+            progress.step();
         }
-        progress.step();
     }
-    let clouds: Vec<PointCloud> = builders.into_iter().map(CloudBuilder::finish).collect();
-    Ok(clouds.try_into().ok())
+    Ok(builder.finish())
 }
 
 /// Images that are looked at for the range of depths.
