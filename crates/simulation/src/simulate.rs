@@ -295,4 +295,28 @@ mod tests {
             Err(SimulationError::Option { option: "texel_at_1m_mm", .. })
         ));
     }
+
+    #[test]
+    fn configurations_survive_a_file_and_unknown_keys_are_named() {
+        let drawn = SimulationConfig {
+            perturbation: Perturbation::Random { seed: 4, sigmas: PerturbationSigmas::default() },
+            postures: PosturePlan::Diverse { options: DiverseOptions::default() },
+            first_postures: Some(5),
+            ..config()
+        };
+        for config in [SimulationConfig::default(), drawn] {
+            let text = serde_json::to_string(&config).unwrap();
+            assert_eq!(serde_json::from_str::<SimulationConfig>(&text).unwrap(), config);
+        }
+        assert_eq!(serde_json::from_str::<SimulationConfig>("{}").unwrap(), SimulationConfig::default());
+        for (text, key) in [
+            (r#"{"scenery": {}}"#, "scenery"),
+            (r#"{"color_noise": {"blur": 9}}"#, "blur"),
+            (r#"{"perturbation": {"kind": "random", "seed": 1, "sigma": 2}}"#, "sigma"),
+            (r#"{"postures": {"kind": "paper", "view": {"tilt": 1.0}}}"#, "tilt"),
+        ] {
+            let error = serde_json::from_str::<SimulationConfig>(text).unwrap_err().to_string();
+            assert!(error.contains("unknown field") && error.contains(key), "{error}");
+        }
+    }
 }
