@@ -7,14 +7,18 @@
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
 //! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
 //! - [`surface_gaps`] and [`score_surface`] say how good a map is;
+//! - [`OccupancyGrid`] tells free, occupied and unknown space, as OctoMap files and as a distance field;
 //! - [`render`] draws a map without a window;
-//! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files.
+//! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`], [`write_stl`]
+//!   and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
 
 mod cloud;
 mod cloud_builder;
 mod error;
+mod formats;
 mod nearest;
 mod normals;
+mod occupancy;
 mod ply;
 mod projector;
 mod quality;
@@ -27,13 +31,15 @@ mod voxel;
 pub use cloud::{Model, PointCloud, TriangleMesh};
 pub use cloud_builder::{CloudBuilder, CloudOptions, PointNormals, UncoloredPoints};
 pub use error::Error;
+pub use formats::{write_glb, write_obj, write_pcd, write_stl};
 pub use nearest::SurfaceIndex;
+pub use occupancy::{Esdf, Occupancy, OccupancyGrid, OccupancyOptions};
 pub use ply::{read_ply, write_ply};
 pub use quality::{
     DistanceSummary, GapOptions, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
     score_surface, surface_gaps,
 };
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
-pub use surface::{SurfaceOptions, remove_small_clusters, vertex_normals};
+pub use surface::{SurfaceOptions, decimate, remove_small_clusters, vertex_normals};
 pub use tsdf::{Integration, SpaceCarving, Tsdf, TsdfOptions};
 pub use view::{DepthFilter, DepthNoise, View};

@@ -1,11 +1,13 @@
 //! From the distance field to triangles: marching cubes (Lorensen and Cline 1987) over the blocks of a [`Tsdf`].
 
 mod clusters;
+mod decimate;
 mod extract;
 mod table;
 mod vertex_normals;
 
 pub use clusters::remove_small_clusters;
+pub use decimate::decimate;
 pub use vertex_normals::vertex_normals;
 
 use crate::{Error, TriangleMesh, Tsdf};
