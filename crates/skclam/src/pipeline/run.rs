@@ -119,6 +119,10 @@ fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
     texts
 }
 
+/// Matches that keep farther from their lines than this in the median are not explained by the rig, px: keypoints are
+/// found to a fraction of a pixel, and poor intrinsics add a pixel or so.
+const UNEXPLAINED_PX: f64 = 2.0;
+
 /// One sentence that a person who is no expert understands.
 fn verdict(calibration: &Calibration) -> String {
     let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
@@ -126,7 +130,12 @@ fn verdict(calibration: &Calibration) -> String {
         "the median distance of a match to its epipolar line went from {:.2} to {:.2} px",
         before.median_px, after.median_px
     );
-    if after.median_px < before.median_px {
+    if after.median_px > UNEXPLAINED_PX {
+        format!(
+            "DO NOT TRUST this calibration: {change}, and above {UNEXPLAINED_PX} px the rig does not fit the images. \
+             Do images and joint values belong together? Are the intrinsics right? Are enough parameters free?"
+        )
+    } else if after.median_px < before.median_px {
         format!("The calibrated rig explains the images better: {change}.")
     } else {
         format!(
