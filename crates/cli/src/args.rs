@@ -231,32 +231,18 @@ pub struct RenderArgs {
     /// A second map, drawn to the right of the first from the same place.
     #[arg(long, value_name = "MAP", value_hint = ValueHint::FilePath)]
     pub beside: Option<PathBuf>,
-    /// The picture.
-    #[arg(long, short, value_name = "PNG", value_hint = ValueHint::FilePath)]
+    /// The picture, PNG or JPEG.
+    #[arg(long, short, value_name = "PICTURE", value_hint = ValueHint::FilePath)]
     pub out: PathBuf,
     /// From where.
     #[arg(long, value_enum, default_value = "perspective", conflicts_with_all = ["eye", "target"])]
     pub view: ViewArg,
     /// The viewer's place "x,y,z" in the base frame, metres.
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        num_args = 3,
-        allow_hyphen_values = true,
-        requires = "target"
-    )]
-    pub eye: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, requires = "target")]
+    pub eye: Option<[f64; 3]>,
     /// What the viewer looks at, "x,y,z", metres.
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        num_args = 3,
-        allow_hyphen_values = true,
-        requires = "eye"
-    )]
-    pub target: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, requires = "eye")]
+    pub target: Option<[f64; 3]>,
     /// Horizontal field of view with --eye, degrees.
     #[arg(long, value_name = "DEG", default_value_t = 60.0)]
     pub hfov_deg: f64,
@@ -269,4 +255,14 @@ pub struct RenderArgs {
     /// Radius of a point, millimetres.
     #[arg(long, value_name = "MM", default_value_t = 4.0)]
     pub point_radius_mm: f64,
+}
+
+/// Reads "x,y,z".
+fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|number| number.trim().parse::<f64>().ok().filter(|value| value.is_finite()))
+        .collect::<Option<_>>()
+        .ok_or_else(|| format!("\"{text}\" is not of the form 0.5,-1,1.2"))?;
+    numbers.try_into().map_err(|numbers: Vec<f64>| format!("{} numbers where three are needed", numbers.len()))
 }

@@ -24,7 +24,8 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
         picture = side_by_side(&picture, &second, GAP, options.background);
     }
     // Written beside its place first, so that no half a picture stands there.
-    let partial = args.out.with_extension("partial.png");
+    let ending = args.out.extension().and_then(|ending| ending.to_str()).unwrap_or("png");
+    let partial = args.out.with_extension(format!("partial.{ending}"));
     picture.save(&partial).with_context(|| partial.display().to_string())?;
     std::fs::rename(&partial, &args.out).with_context(|| args.out.display().to_string())?;
     if cli.json {
@@ -44,13 +45,18 @@ fn read(path: &Path) -> Result<Model> {
 }
 
 fn camera(args: &RenderArgs, model: &Model) -> Result<RenderCamera> {
-    if let (Some(eye), Some(target)) = (&args.eye, &args.target) {
-        let point = |numbers: &[f64]| Point3::new(numbers[0], numbers[1], numbers[2]);
+    if let (Some(eye), Some(target)) = (args.eye, args.target) {
         if !(1.0..=170.0).contains(&args.hfov_deg) {
             bail!("--hfov-deg {}: 1 to 170 is needed", args.hfov_deg);
         }
         let projection = Projection::Perspective { hfov: args.hfov_deg.to_radians() };
-        return Ok(RenderCamera::looking_at(point(eye), point(target), projection, args.width, args.height));
+        return Ok(RenderCamera::looking_at(
+            Point3::from(eye),
+            Point3::from(target),
+            projection,
+            args.width,
+            args.height,
+        ));
     }
     let preset = match args.view {
         ViewArg::Front => ViewPreset::Front,
