@@ -12,6 +12,8 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Parameters: a shift and four of the linear part.
 const PARAMETERS: usize = 6;
+/// Values that are summed side by side; lists are padded to a multiple.
+const WIDTH: usize = 8;
 /// Damping of the linear part against the shift, as a share of its own curvature.
 const LINEAR_DAMPING: f64 = 0.02;
 
@@ -72,8 +74,13 @@ impl Template {
         let half = (count / 2) as f32;
         // A Gaussian that falls to a tenth at the corners: what is far from the centre moves the centre less.
         let sigma = half.max(1.0) * 0.93;
-        let weights: Vec<f32> = (0..count * count)
+        // Padded with weights of zero to full vectors.
+        let length = (count * count).next_multiple_of(WIDTH);
+        let weights: Vec<f32> = (0..length)
             .map(|at| {
+                if at >= count * count {
+                    return 0.0;
+                }
                 let (u, v) = ((at % count) as f32 - half, (at / count) as f32 - half);
                 (-(u * u + v * v) / (2.0 * sigma * sigma)).exp()
             })
@@ -81,15 +88,15 @@ impl Template {
         let weights_sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
         Template {
             count,
-            centred: vec![0.0; count * count],
+            centred: vec![0.0; length],
             mean: 0.0,
             energy: 0.0,
             weights_sum,
             weights_mean: weights.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>() / weights_sum,
             weights,
-            derivatives: std::array::from_fn(|_| vec![0.0; count * count]),
+            derivatives: std::array::from_fn(|_| vec![0.0; length]),
             normal: SMatrix::zeros(),
-            other: vec![0.0; count * count],
+            other: vec![0.0; length],
             margin: vec![0.0; (count + 2) * (count + 2)],
         }
     }
@@ -115,7 +122,7 @@ impl Template {
     /// Returns by how much the centre moved, px of the level.
     pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, freedom: Freedom) -> Option<f64> {
         let gain = self.look(level, warp)?.gain;
-        let right = right_side(&self.derivatives, &self.other);
+        let right = right_side(&self.derivatives, &self.other, self.mean);
         let right = SVector::<f64, PARAMETERS>::from(right.map(|sum| gain * f64::from(sum)));
         let (shift, linear) = match freedom {
             Freedom::Shift => {
@@ -182,14 +189,16 @@ struct Look {
 /// with the template.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn moments(other: &[f32], template: &[f32], weights: &[f32], mean: f32) -> [f64; 3] {
-    let mut sums = [[0.0f32; 8]; 3];
-    let chunks = other.chunks(8).zip(template.chunks(8)).zip(weights.chunks(8));
+    let mut sums = [[0.0f32; WIDTH]; 3];
+    let (template, weights) = (template.as_chunks::<WIDTH>().0, weights.as_chunks::<WIDTH>().0);
+    let chunks = other.as_chunks::<WIDTH>().0.iter().zip(template).zip(weights);
     for ((other, template), weights) in chunks {
-        for (lane, ((o, t), w)) in other.iter().zip(template).zip(weights).enumerate() {
-            let o = o - mean;
-            sums[0][lane] += w * o;
-            sums[1][lane] += w * o * o;
-            sums[2][lane] += w * o * t;
+        for lane in 0..WIDTH {
+            let value = other[lane] - mean;
+            let weighted = weights[lane] * value;
+            sums[0][lane] += weighted;
+            sums[1][lane] += weighted * value;
+            sums[2][lane] += weighted * template[lane];
         }
     }
     sums.map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum())
@@ -197,17 +206,18 @@ fn moments(other: &[f32], template: &[f32], weights: &[f32], mean: f32) -> [f64;
 
 /// Products of the derivatives with the other patch.
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn right_side(derivatives: &[Vec<f32>; PARAMETERS], other: &[f32]) -> [f32; PARAMETERS] {
-    let offset = other[other.len() / 2];
-    let mut sums = [[0.0f32; 8]; PARAMETERS];
-    for (sums, derivative) in sums.iter_mut().zip(derivatives) {
-        for (derivative, other) in derivative.chunks(8).zip(other.chunks(8)) {
-            for (lane, (d, o)) in derivative.iter().zip(other).enumerate() {
-                sums[lane] += d * (o - offset);
+fn right_side(derivatives: &[Vec<f32>; PARAMETERS], other: &[f32], offset: f32) -> [f32; PARAMETERS] {
+    let mut all = [0.0; PARAMETERS];
+    for (sum, derivative) in all.iter_mut().zip(derivatives) {
+        let mut lanes = [0.0f32; WIDTH];
+        for (derivative, other) in derivative.as_chunks::<WIDTH>().0.iter().zip(other.as_chunks::<WIDTH>().0) {
+            for lane in 0..WIDTH {
+                lanes[lane] += derivative[lane] * (other[lane] - offset);
             }
         }
+        *sum = lanes.iter().sum();
     }
-    sums.map(|lanes| lanes.iter().sum())
+    all
 }
 
 /// Everything that follows from the patch with a margin.
@@ -217,6 +227,7 @@ fn differentiate(template: &mut Template) {
     let wide = count + 2;
     let half = (count / 2) as f32;
     let mut mean = 0.0;
+    template.centred[count * count..].fill(0.0);
     for v in 0..count {
         for u in 0..count {
             let at = v * count + u;
@@ -256,11 +267,12 @@ fn differentiate(template: &mut Template) {
     }
     for row in 0..PARAMETERS {
         for column in row..PARAMETERS {
-            let mut lanes = [0.0f32; 8];
-            let (first, second) = (&template.derivatives[row], &template.derivatives[column]);
-            for ((first, second), weights) in first.chunks(8).zip(second.chunks(8)).zip(weights.chunks(8)) {
-                for (lane, ((a, b), w)) in first.iter().zip(second).zip(weights).enumerate() {
-                    lanes[lane] += w * a * b;
+            let mut lanes = [0.0f32; WIDTH];
+            let first = template.derivatives[row].as_chunks::<WIDTH>().0;
+            let second = template.derivatives[column].as_chunks::<WIDTH>().0;
+            for ((first, second), weights) in first.iter().zip(second).zip(weights.as_chunks::<WIDTH>().0) {
+                for lane in 0..WIDTH {
+                    lanes[lane] += weights[lane] * first[lane] * second[lane];
                 }
             }
             let sum = f64::from(lanes.iter().sum::<f32>());

@@ -1,6 +1,7 @@
 //! An image at halved sizes, smoothed so that interpolating it does little harm.
 
 use image::GrayImage;
+use multiversion::multiversion;
 
 /// Fixed point: a grey value times this.
 const UNITS: f32 = 256.0;
@@ -15,7 +16,7 @@ pub(super) const SMOOTHING_PX2: f64 = 0.5;
 /// The cubic B-spline smooths by this variance along an axis, px²; that of Catmull and Rom does not smooth.
 pub(super) const SPLINE_PX2: f64 = 1.0 / 3.0;
 
-/// Interpolation by a cubic: the coefficients of the weights of four samples in the offset from the second.
+/// Interpolation by a cubic: by powers of the offset from the second of four samples, the coefficients of their weights.
 ///
 /// A blend of Catmull and Rom's spline, which interpolates, and the B-spline, which smooths.
 #[derive(Debug, Clone, Copy)]
@@ -32,12 +33,14 @@ impl Cubic {
         let blend = |sample: usize, power: usize| {
             ((1.0 - share) * CATMULL_ROM[sample][power] + share * B_SPLINE[sample][power] / 6.0) as f32
         };
-        Cubic(std::array::from_fn(|sample| std::array::from_fn(|power| blend(sample, power))))
+        Cubic(std::array::from_fn(|power| std::array::from_fn(|sample| blend(sample, power))))
     }
 
     #[inline(always)]
     fn weights(&self, t: f32) -> [f32; 4] {
-        self.0.map(|c| ((c[3] * t + c[2]) * t + c[1]) * t + c[0])
+        std::array::from_fn(|sample| {
+            ((self.0[3][sample] * t + self.0[2][sample]) * t + self.0[1][sample]) * t + self.0[0][sample]
+        })
     }
 }
 
@@ -122,41 +125,62 @@ impl Level {
         inside(0, self.width) && inside(1, self.height)
     }
 
-    /// Samples the patch into `into`, row by row, in grey values; the caller has asked [`Level::holds`].
-    pub(super) fn sample(&self, centre: [f64; 2], step: [[f32; 2]; 2], cubic: &Cubic, count: usize, into: &mut [f32]) {
+    /// Samples the patch into the start of `into`, row by row, in grey values; the caller has asked [`Level::holds`].
+    pub(super) fn sample(
+        &self,
+        centre: [f64; 2],
+        step: [[f32; 2]; 2],
+        cubic: &Cubic,
+        count: usize,
+        into: &mut [f32],
+    ) {
         let origin = centre.map(f64::floor);
-        // From here the rest is small, so that single precision is enough.
-        let fraction = [(centre[0] - origin[0]) as f32, (centre[1] - origin[1]) as f32];
-        let start = origin[1] as isize * self.width as isize + origin[0] as isize;
-        let half = (count / 2) as f32;
-        for (v, row) in into.chunks_exact_mut(count).enumerate() {
-            let v = v as f32 - half;
-            let (x0, y0) = (fraction[0] + step[0][1] * v, fraction[1] + step[1][1] * v);
-            for (u, value) in row.iter_mut().enumerate() {
-                let u = u as f32 - half;
-                let (x, y) = (x0 + step[0][0] * u, y0 + step[1][0] * u);
-                *value = self.interpolated(start, x, y, cubic);
-            }
-        }
+        // From here the rest is small, so that single precision is enough; no patch reaches farther than this.
+        let base = BASE as i64;
+        let fraction = [(centre[0] - origin[0]) as f32 + BASE, (centre[1] - origin[1]) as f32 + BASE];
+        let start = (origin[1] as i64 - base - 1) * self.width as i64 + origin[0] as i64 - base - 1;
+        interpolate(&self.values, self.width, start, fraction, step, cubic, count, into);
     }
+}
 
-    /// The grey value at an offset from pixel number `start`, by the cubic.
-    #[inline(always)]
-    fn interpolated(&self, start: isize, x: f32, y: f32, cubic: &Cubic) -> f32 {
-        let (floor_x, floor_y) = (x.floor(), y.floor());
-        let (wx, wy) = (cubic.weights(x - floor_x), cubic.weights(y - floor_y));
-        let first = start + (floor_y as isize - 1) * self.width as isize + floor_x as isize - 1;
-        let mut sum = 0.0;
-        for (row, weight) in wy.into_iter().enumerate() {
-            let at = first as usize + row * self.width;
-            let v = &self.values[at..at + 4];
-            sum += weight
-                * (wx[0] * f32::from(v[0])
-                    + wx[1] * f32::from(v[1])
-                    + wx[2] * f32::from(v[2])
-                    + wx[3] * f32::from(v[3]));
+/// Added to offsets within a patch, which makes them positive: to cut off their fraction is to round them down. More
+/// than 15 samples to a side at eight pixels a sample along both axes.
+const BASE: f32 = 256.0;
+
+/// The inner loop of [`Level::sample`]; offsets count from the pixel that is number `start`, which may be negative.
+#[multiversion(targets("x86_64+avx2"))]
+#[allow(clippy::too_many_arguments)] // One call.
+fn interpolate(
+    values: &[u16],
+    width: usize,
+    start: i64,
+    fraction: [f32; 2],
+    step: [[f32; 2]; 2],
+    cubic: &Cubic,
+    count: usize,
+    into: &mut [f32],
+) {
+    let half = (count / 2) as f32;
+    for (v, row) in into.chunks_exact_mut(count).take(count).enumerate() {
+        let v = v as f32 - half;
+        let (x0, y0) = (fraction[0] + step[0][1] * v, fraction[1] + step[1][1] * v);
+        for (u, value) in row.iter_mut().enumerate() {
+            let u = u as f32 - half;
+            let (x, y) = (x0 + step[0][0] * u, y0 + step[1][0] * u);
+            let (floor_x, floor_y) = (x as i32, y as i32);
+            let (wx, wy) = (cubic.weights(x - floor_x as f32), cubic.weights(y - floor_y as f32));
+            let first = (start + i64::from(floor_y) * width as i64 + i64::from(floor_x)) as usize;
+            let mut columns = [0.0f32; 4];
+            for (row, weight) in wy.into_iter().enumerate() {
+                let at = first + row * width;
+                let samples: &[u16; 4] = values[at..at + 4].try_into().expect("four values");
+                for (column, sample) in columns.iter_mut().zip(samples) {
+                    *column += weight * f32::from(*sample);
+                }
+            }
+            let sum = (columns[0] * wx[0] + columns[2] * wx[2]) + (columns[1] * wx[1] + columns[3] * wx[3]);
+            *value = sum * (1.0 / UNITS);
         }
-        sum * (1.0 / UNITS)
     }
 }
 
