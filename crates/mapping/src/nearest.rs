@@ -87,6 +87,68 @@ impl SurfaceIndex {
     }
 }
 
+impl SurfaceIndex {
+    /// Whether a triangle stands between two points, not counting the last `clearance_m` before the second. Points
+    /// of a cloud hide nothing.
+    pub fn hides(&self, from: [f32; 3], to: [f32; 3], clearance_m: f32) -> bool {
+        let origin = Vector3::from(from);
+        let whole = Vector3::from(to) - origin;
+        let length = whole.norm();
+        if length <= clearance_m {
+            return false;
+        }
+        let direction = whole / length;
+        let inverse = direction.map(|value| 1.0 / value);
+        let farthest = length - clearance_m;
+        let mut stack = [0u32; 64];
+        let mut waiting = 1;
+        while waiting > 0 {
+            waiting -= 1;
+            let index = stack[waiting];
+            let node = &self.nodes[index as usize];
+            let (mut enter, mut leave) = (0f32, farthest);
+            for axis in 0..3 {
+                let one = (node.low[axis] - origin[axis]) * inverse[axis];
+                let two = (node.high[axis] - origin[axis]) * inverse[axis];
+                // A ray within a slab's plane gives NaN, which min and max pass over.
+                enter = enter.max(one.min(two));
+                leave = leave.min(one.max(two));
+            }
+            if enter > leave {
+                continue;
+            }
+            if node.count == 0 {
+                stack[waiting] = node.link;
+                stack[waiting + 1] = index + 1;
+                waiting += 2;
+                continue;
+            }
+            let triangles = &self.triangles[node.link as usize..(node.link + node.count) as usize];
+            if triangles.iter().any(|triangle| crosses(&origin, &direction, farthest, triangle)) {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// Whether a ray meets a triangle before `farthest` (Moeller and Trumbore 1997).
+fn crosses(origin: &Vector3<f32>, direction: &Vector3<f32>, farthest: f32, triangle: &[[f32; 3]; 3]) -> bool {
+    let [a, b, c] = triangle.map(Vector3::from);
+    let (ab, ac) = (b - a, c - a);
+    let p = direction.cross(&ac);
+    let determinant = ab.dot(&p);
+    if determinant.abs() < 1e-12 {
+        return false;
+    }
+    let t = origin - a;
+    let u = t.dot(&p) / determinant;
+    let q = t.cross(&ab);
+    let v = direction.dot(&q) / determinant;
+    let distance = ac.dot(&q) / determinant;
+    u >= 0.0 && v >= 0.0 && u + v <= 1.0 && distance > 0.0 && distance < farthest
+}
+
 /// Builds the subtree over `triangles`, the first of which stands at `first` in the whole list.
 fn build(nodes: &mut Vec<Node>, triangles: &mut [[[f32; 3]; 3]], first: usize) {
     let mut node = Node { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3], link: first as u32, count: 0 };
@@ -191,6 +253,19 @@ mod tests {
             let exact = SurfaceIndex::new(&mesh.into()).unwrap().distance(query, 10.0).unwrap();
             prop_assert!(exact <= sampled + 1e-5 && exact > sampled - 0.06, "{exact} {sampled}");
         }
+    }
+
+    #[test]
+    fn a_wall_hides_what_is_behind_it_and_nothing_else() {
+        let points = vec![[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]];
+        let vertices = PointCloud { points, ..Default::default() };
+        let index =
+            SurfaceIndex::new(&TriangleMesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] }.into()).unwrap();
+        assert!(index.hides([0.0; 3], [0.3, 0.2, 2.0], 0.01));
+        assert!(!index.hides([0.0; 3], [0.3, 0.2, 0.9], 0.01), "before it");
+        assert!(!index.hides([0.0; 3], [0.3, 0.2, 1.0], 0.01), "on it");
+        assert!(!index.hides([0.0; 3], [0.3, 2.5, 2.0], 0.01), "beside it");
+        assert!(!index.hides([0.0; 3], [0.3, 0.2, -2.0], 0.01), "in the other direction");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Both surfaces are sampled evenly by area (clouds by their points) and every sample is measured exactly against the
 //! other one's triangles. Completeness asks only for what was observed: samples of the reference that some view shows
-//! at their depth.
+//! at their depth and that the reference itself does not hide from it.
 
 use super::quantile;
 use crate::{DepthFilter, Error, Model, SurfaceIndex, View};
@@ -16,6 +16,9 @@ pub const SCORE_THRESHOLDS_M: [f64; 3] = [0.005, 0.010, 0.020];
 
 /// Most samples of a surface: more say nothing more.
 const MOST_SAMPLES: usize = 5_000_000;
+
+/// Closer before a sample than this, metres, its own triangle and its neighbours are met.
+const HIDING_CLEARANCE_M: f32 = 0.003;
 
 /// How a map is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -84,7 +87,7 @@ pub fn score_surface(
     let to_map = SurfaceIndex::new(map)?;
     let accuracy = summary(&to_reference, &samples(map, options.spacing_m), options.limit_m)?;
     let all = samples(reference, options.spacing_m);
-    let observed = if views.is_empty() { all.clone() } else { observed(&all, views, options) };
+    let observed = if views.is_empty() { all.clone() } else { observed(&all, &to_reference, views, options) };
     let completeness = summary(&to_map, &observed, options.limit_m)?;
     let f_score = std::array::from_fn(|index| {
         let (precision, recall) = (accuracy.within[index], completeness.within[index]);
@@ -142,12 +145,18 @@ fn samples(model: &Model, spacing_m: f64) -> Vec<[f32; 3]> {
     samples
 }
 
-fn observed(samples: &[[f32; 3]], views: &[View<'_>], options: &ReferenceOptions) -> Vec<[f32; 3]> {
+fn observed(
+    samples: &[[f32; 3]],
+    reference: &SurfaceIndex,
+    views: &[View<'_>],
+    options: &ReferenceOptions,
+) -> Vec<[f32; 3]> {
     let mut seen = vec![false; samples.len()];
     for view in views {
         let depth = view.believed_depth(&options.filter);
         let camera = &view.depth_camera.camera;
         let depth_from_base = view.base_from_depth().inverse();
+        let eye: [f32; 3] = view.base_from_depth().translation.vector.cast::<f32>().into();
         seen.par_iter_mut().zip(samples).for_each(|(seen, sample)| {
             if *seen {
                 return;
@@ -158,7 +167,10 @@ fn observed(samples: &[[f32; 3]], views: &[View<'_>], options: &ReferenceOptions
             let (x, y) = (x.min(camera.width - 1), y.min(camera.height - 1));
             let depth = f64::from(depth[(y * camera.width + x) as usize]);
             let tolerance = options.observed_within_m + 4.0 * options.filter.noise.sigma(depth);
-            *seen = depth > 0.0 && (depth - point.z).abs() <= tolerance;
+            // Within the noise lie also the backs of thin things, which no view shows.
+            *seen = depth > 0.0
+                && (depth - point.z).abs() <= tolerance
+                && !reference.hides(eye, *sample, HIDING_CLEARANCE_M);
         });
     }
     samples.iter().zip(seen).filter(|(_, seen)| *seen).map(|(sample, _)| *sample).collect()

@@ -26,7 +26,7 @@ pub struct SurfaceOptions {
 
 impl Default for SurfaceOptions {
     fn default() -> Self {
-        SurfaceOptions { max_sigma_m: 0.02, min_cluster_triangles: 60 }
+        SurfaceOptions { max_sigma_m: 0.05, min_cluster_triangles: 60 }
     }
 }
 
