@@ -1,6 +1,6 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
-use crate::pipeline::{Config, MatchedPair};
+use crate::pipeline::{Config, MatchedPair, SurfaceAgreement};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
     Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit,
@@ -127,10 +127,14 @@ pub struct ParameterSummary {
 }
 
 /// The map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MapSummary {
     /// Points of map.ply.
     pub points: usize,
+    /// How far apart the surfaces of overlapping depth images are at the nominal poses.
+    pub agreement_nominal: Option<SurfaceAgreement>,
+    /// The same at the calibrated poses.
+    pub agreement_calibrated: Option<SurfaceAgreement>,
 }
 
 /// How long a stage took.

@@ -145,6 +145,12 @@ pub fn show(summary: &Summary) {
             format!("{:.3}", after.median_px),
         ]);
     }
+    if let Some((before, after)) = summary.map.and_then(|map| Some((map.agreement_nominal?, map.agreement_calibrated?)))
+    {
+        let mm = |value: f64| format!("{value:.2} mm");
+        table.add_row(["depth images apart, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
+        table.add_row(["depth images apart, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
+    }
     println!("{table}\n");
     let counts = &summary.counts;
     println!(

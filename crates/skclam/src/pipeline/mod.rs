@@ -1,5 +1,6 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
+mod agreement;
 mod calibrate;
 mod config;
 mod error;
@@ -10,6 +11,7 @@ mod pairing;
 mod registered_depth;
 mod run;
 
+pub use agreement::{SurfaceAgreement, surface_agreement};
 pub use calibrate::{calibrate, correspondences};
 pub use config::{Config, Estimator};
 pub use error::RunError;

@@ -1,6 +1,9 @@
 //! The run itself, and its results as files.
 
-use super::{Config, RunError, build_maps, calibrate, correspondences, extract_features, localize, match_pairs};
+use super::{
+    Config, RunError, build_maps, calibrate, correspondences, extract_features, localize, match_pairs,
+    surface_agreement,
+};
 use crate::dataset::Dataset;
 use crate::output::StagedFolder;
 use crate::progress::Progress;
@@ -47,9 +50,26 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
     let (calibrated_poses, nominal_poses) = (poses(&outcome.trajectory), poses(&nominal));
     let maps = build_maps(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig, config, progress)?;
     outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
-    outcome.summary.map = outcome.maps.as_ref().map(|maps| MapSummary { points: maps.calibrated.len() });
+    if let Some(maps) = &outcome.maps {
+        let [agreement_calibrated, agreement_nominal] =
+            surface_agreement(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
+        if let (Some(after), Some(before)) = (agreement_calibrated, agreement_nominal)
+            && after.median_mm > before.median_mm * WORSE_AGREEMENT
+        {
+            outcome.summary.warnings.push(format!(
+                "the depth images agree less at the calibrated poses ({:.2} mm apart in the median) than at the nominal ones ({:.2} mm): \
+                 the matches and the depth contradict each other; hold more parameters (--free) or record more diverse postures",
+                after.median_mm, before.median_mm
+            ));
+        }
+        outcome.summary.map =
+            Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated });
+    }
     Ok(outcome)
 }
+
+/// From this ratio on the depth images are said to agree less.
+const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
