@@ -1,0 +1,167 @@
+//! The SQLite database of rosbag2 (`.db3`): a table of topics and one of messages.
+
+use crate::bytes::{Bytes, Problem};
+use crate::recording::{Place, TopicIds, Visitor};
+use crate::{MAX_MESSAGE_BYTES, RecordingError, WireFormat};
+use rusqlite::limits::Limit;
+use rusqlite::{Connection, MAIN_DB, OpenFlags};
+use std::collections::HashMap;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug)]
+pub(crate) struct Database {
+    path: PathBuf,
+    connection: Connection,
+    topics: TopicIds,
+}
+
+fn problem(error: rusqlite::Error) -> Problem {
+    Problem::Damaged(error.to_string())
+}
+
+impl Database {
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        connect(path)
+            .map(|connection| Database { path: path.to_owned(), connection, topics: HashMap::new() })
+            .map_err(|problem| problem.at(path, 0))
+    }
+
+    pub fn scan(&mut self, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
+        let Database { path, connection, topics } = self;
+        let mut row_id = 0;
+        (|| {
+            *topics = read_topics(connection, visitor)?;
+            // By number and not by time: this needs no sorting, and a time that jumped back is told as such.
+            let mut statement =
+                connection.prepare("SELECT id, topic_id, timestamp FROM messages ORDER BY id").map_err(problem)?;
+            let mut rows = statement.query([]).map_err(problem)?;
+            let mut last = None;
+            while let Some(row) = rows.next().map_err(problem)? {
+                let id: i64 = row.get(0).map_err(problem)?;
+                // Rising numbers also mean that a damaged tree is not walked in a circle.
+                if last.is_some_and(|last| id <= last) || id < 0 {
+                    return Err(Problem::Damaged(format!("message {id} follows message {last:?}")));
+                }
+                last = Some(id);
+                row_id = id as u64;
+                let (topic, time) = (row.get(1).map_err(problem)?, row.get(2).map_err(problem)?);
+                message(connection, topics, id, topic, time, visitor)?;
+            }
+            Ok(())
+        })()
+        .map_err(|problem: Problem| problem.at(path, row_id))
+    }
+
+    pub fn read_row(&mut self, id: u64, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
+        let Database { path, connection, topics } = self;
+        (|| {
+            let row_id = i64::try_from(id).map_err(|_| Problem::Damaged(format!("there is no message {id}")))?;
+            let mut statement =
+                connection.prepare("SELECT topic_id, timestamp FROM messages WHERE id = ?1").map_err(problem)?;
+            let (topic, time) = statement.query_row([row_id], |row| Ok((row.get(0)?, row.get(1)?))).map_err(problem)?;
+            message(connection, topics, row_id, topic, time, visitor)
+        })()
+        .map_err(|problem: Problem| problem.at(path, id))
+    }
+}
+
+fn connect(path: &Path) -> Result<Connection, Problem> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(path, flags).map_err(problem)?;
+    let most = i32::try_from(MAX_MESSAGE_BYTES).unwrap_or(i32::MAX);
+    connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, most).map_err(problem)?;
+    // A recording is data: nothing in its schema is run, and damaged pages are noticed when they are read.
+    connection.pragma_update(None, "trusted_schema", "OFF").map_err(problem)?;
+    connection.pragma_update(None, "cell_size_check", "ON").map_err(problem)?;
+    for table in ["topics", "messages"] {
+        let count: i64 = connection
+            .query_row("SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = ?1", [table], |row| {
+                row.get(0)
+            })
+            .map_err(problem)?;
+        if count != 1 {
+            let problem = format!("the database has no table \"{table}\"; is it a recording of rosbag2?");
+            return Err(Problem::Damaged(problem));
+        }
+    }
+    Ok(connection)
+}
+
+fn read_topics(connection: &Connection, visitor: &mut Visitor<'_>) -> Result<TopicIds, Problem> {
+    let mut topics = TopicIds::new();
+    let mut statement =
+        connection.prepare("SELECT id, name, type, serialization_format FROM topics ORDER BY id").map_err(problem)?;
+    let mut rows = statement.query([]).map_err(problem)?;
+    while let Some(row) = rows.next().map_err(problem)? {
+        let id: i64 = row.get(0).map_err(problem)?;
+        let text = |column: usize| row.get::<_, String>(column).map_err(problem);
+        let (name, type_name, format) = (text(1)?, text(2)?, text(3)?);
+        let wire = (format == "cdr").then_some(WireFormat::Cdr);
+        topics.insert(id as u64, visitor.topic(name, type_name, wire)?);
+    }
+    Ok(topics)
+}
+
+fn message(
+    connection: &Connection,
+    topics: &TopicIds,
+    id: i64,
+    topic: i64,
+    log_time: i64,
+    visitor: &mut Visitor<'_>,
+) -> Result<(), Problem> {
+    if log_time < 0 {
+        return Err(Problem::Damaged(format!("a time of {log_time} ns")));
+    }
+    let topic = *topics
+        .get(&(topic as u64))
+        .ok_or_else(|| format!("a message of topic {topic}, which is not in the table of topics"))?;
+    let place = Place { file: visitor.file, offset: id as u64, ordinal: 0 };
+    let mut bytes = BlobBytes { connection, id, blob: None, position: 0, length: 0 };
+    // The size is only looked up where somebody wants the message.
+    if (visitor.want)(&visitor.topics[topic], place) == crate::Wanted::Nothing {
+        return Ok(());
+    }
+    bytes.open()?;
+    let length = bytes.length;
+    visitor.message(topic, log_time, place, &mut bytes, length)
+}
+
+/// The bytes of a message, read as far as they are wanted.
+struct BlobBytes<'a> {
+    connection: &'a Connection,
+    id: i64,
+    blob: Option<rusqlite::blob::Blob<'a>>,
+    position: u64,
+    length: u64,
+}
+
+impl BlobBytes<'_> {
+    fn open(&mut self) -> Result<(), Problem> {
+        let blob = self.connection.blob_open(MAIN_DB, "messages", "data", self.id, true).map_err(problem)?;
+        self.length = blob.len() as u64;
+        self.blob = Some(blob);
+        Ok(())
+    }
+}
+
+impl Bytes for BlobBytes<'_> {
+    fn fill(&mut self, target: &mut [u8]) -> Result<(), Problem> {
+        if let Some(blob) = &mut self.blob {
+            blob.seek(SeekFrom::Start(self.position))?;
+            blob.read_exact(target)?;
+        }
+        self.position += target.len() as u64;
+        Ok(())
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), Problem> {
+        self.position += count;
+        Ok(())
+    }
+
+    fn left(&self) -> u64 {
+        self.length.saturating_sub(self.position)
+    }
+}

@@ -1,0 +1,333 @@
+//! A recording of any kind as one stream of messages.
+
+use crate::bag::Bag;
+use crate::bytes::{Bytes, Problem, decompressed_message};
+use crate::database::Database;
+use crate::mcap::Mcap;
+use crate::tum::TumFolder;
+use crate::{Header, MAX_MESSAGE_BYTES, MessageKind, RecordingError, Stamp, WireFormat};
+use serde::Serialize;
+use std::collections::HashMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// The kinds of recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingFormat {
+    /// ROS 1 bag, version 2.0.
+    Bag,
+    /// MCAP.
+    Mcap,
+    /// SQLite database of rosbag2.
+    Database,
+    /// Folder in the layout of the TUM RGB-D benchmark.
+    Tum,
+}
+
+/// A topic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Topic {
+    /// Its position among the topics of the recording.
+    pub id: usize,
+    /// Its name.
+    pub name: String,
+    /// Type of its messages, as the recording says.
+    pub type_name: String,
+    /// The same as far as it matters here.
+    pub kind: MessageKind,
+    /// How its messages are laid out; `None`: in a way that is not read.
+    pub wire: Option<WireFormat>,
+}
+
+/// Where a message lies, to come back to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Place {
+    /// Which file of the recording.
+    pub file: u32,
+    /// Byte of the record that holds it, or its number in a database, or its line.
+    pub offset: u64,
+    /// Which message of that record.
+    pub ordinal: u32,
+}
+
+/// How much of a message is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// The message is passed over and not visited.
+    Nothing,
+    /// So many bytes of its beginning, or all where it has fewer.
+    Beginning(usize),
+    /// All.
+    Whole,
+}
+
+/// A message, as far as it was wanted.
+#[derive(Debug, Clone, Copy)]
+pub struct Message<'a> {
+    /// When it was recorded, nanoseconds.
+    pub log_time: Stamp,
+    /// Bytes of the whole message.
+    pub length: u64,
+    /// What was wanted of it.
+    pub data: &'a [u8],
+    /// Where it lies.
+    pub place: Place,
+}
+
+impl Message<'_> {
+    /// The stamp of its header, or the time of recording where it has none.
+    pub fn stamp(&self, topic: &Topic) -> Result<Stamp, RecordingError> {
+        match topic.wire {
+            Some(wire) if topic.kind.has_header() => Ok(Header::parse(&topic.name, wire, self.data)?.stamp),
+            _ => Ok(self.log_time),
+        }
+    }
+}
+
+/// A recording of one or more files.
+#[derive(Debug)]
+pub struct Recording {
+    path: PathBuf,
+    format: RecordingFormat,
+    files: Vec<RecordingFile>,
+    topics: Vec<Topic>,
+    buffer: Vec<u8>,
+}
+
+#[derive(Debug)]
+enum RecordingFile {
+    Bag(Bag),
+    Mcap(Mcap),
+    Database(Database),
+    Tum(TumFolder),
+}
+
+/// What a reader is asked for, and whom it tells.
+pub(crate) struct Visitor<'a> {
+    pub topics: &'a mut Vec<Topic>,
+    pub file: u32,
+    /// Whether checksums are verified where that means to read what nobody wants.
+    pub verify: bool,
+    pub want: &'a mut dyn FnMut(&Topic, Place) -> Wanted,
+    pub visit: &'a mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
+    pub buffer: &'a mut Vec<u8>,
+}
+
+/// Topics of a file by the number that the file gives them.
+pub(crate) type TopicIds = HashMap<u64, usize>;
+
+/// The most topics of a recording.
+const MAX_TOPICS: usize = 1 << 16;
+/// The most files of a recording.
+const MAX_FILES: usize = 1 << 16;
+/// How a zstd frame begins. No CDR message begins so.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+impl Visitor<'_> {
+    /// The position of a topic, which is new or known.
+    pub fn topic(&mut self, name: String, type_name: String, wire: Option<WireFormat>) -> Result<usize, Problem> {
+        if let Some(known) = self.topics.iter().find(|topic| topic.name == name && topic.type_name == type_name) {
+            return Ok(known.id);
+        }
+        if self.topics.len() == MAX_TOPICS {
+            return Err(Problem::Damaged(format!("there are more than {MAX_TOPICS} topics")));
+        }
+        let (id, kind) = (self.topics.len(), MessageKind::of(&type_name));
+        self.topics.push(Topic { id, name, type_name, kind, wire });
+        Ok(id)
+    }
+
+    /// The next `length` bytes are a message.
+    pub fn message(
+        &mut self,
+        topic: usize,
+        log_time: Stamp,
+        place: Place,
+        bytes: &mut dyn Bytes,
+        length: u64,
+    ) -> Result<(), Problem> {
+        let count = match (self.want)(&self.topics[topic], place) {
+            Wanted::Nothing => return bytes.skip(length),
+            Wanted::Beginning(count) => length.min(count as u64),
+            Wanted::Whole => length,
+        };
+        bytes.read_into(self.buffer, count, MAX_MESSAGE_BYTES, "a message")?;
+        let mut left = length - count;
+        let mut decompressed = None;
+        if self.buffer.starts_with(&ZSTD_MAGIC) && self.topics[topic].wire == Some(WireFormat::Cdr) {
+            if length > MAX_MESSAGE_BYTES {
+                return Err(Problem::Damaged(format!("a message has {length} bytes; {MAX_MESSAGE_BYTES} are read")));
+            }
+            let mut rest = Vec::new();
+            bytes.read_into(&mut rest, left, MAX_MESSAGE_BYTES, "a message")?;
+            left = 0;
+            self.buffer.append(&mut rest);
+            decompressed = Some(decompressed_message(self.buffer)?);
+        }
+        let data = decompressed.as_ref().unwrap_or(self.buffer);
+        let length = decompressed.as_ref().map_or(length, |message| message.len() as u64);
+        (self.visit)(&self.topics[topic], &Message { log_time, length, data, place })?;
+        bytes.skip(left)
+    }
+}
+
+impl Recording {
+    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder.
+    ///
+    /// # Errors
+    /// [`RecordingError::Format`] for anything else, with what was found.
+    pub fn open(path: impl AsRef<Path>) -> Result<Recording, RecordingError> {
+        let path = path.as_ref();
+        let metadata =
+            std::fs::metadata(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+        let (format, files) = if metadata.is_dir() { open_folder(path)? } else { open_file(path)? };
+        Ok(Recording { path: path.to_owned(), format, files, topics: Vec::new(), buffer: Vec::new() })
+    }
+
+    /// What was opened.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Its kind.
+    pub fn format(&self) -> RecordingFormat {
+        self.format
+    }
+
+    /// The topics seen so far; all of them after a [`scan`](Self::scan).
+    pub fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    /// Goes through the recording once, in the order of the file. Each message is offered to `want`, and visited as far
+    /// as it is wanted; an error of `visit` ends the scan.
+    ///
+    /// Memory: one message, and one block of a decompressor (at most 64 MiB). With `verify`, every byte is read and
+    /// compared with the file's checksums where it has some; without, what nobody wants is passed over by seeks.
+    pub fn scan(
+        &mut self,
+        verify: bool,
+        want: &mut dyn FnMut(&Topic, Place) -> Wanted,
+        visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
+    ) -> Result<(), RecordingError> {
+        for (index, file) in self.files.iter_mut().enumerate() {
+            let mut visitor = Visitor {
+                topics: &mut self.topics,
+                file: index as u32,
+                verify,
+                want: &mut *want,
+                visit: &mut *visit,
+                buffer: &mut self.buffer,
+            };
+            match file {
+                RecordingFile::Bag(bag) => bag.scan(&mut visitor)?,
+                RecordingFile::Mcap(mcap) => mcap.scan(&mut visitor)?,
+                RecordingFile::Database(database) => database.scan(&mut visitor)?,
+                RecordingFile::Tum(folder) => folder.scan(&mut visitor)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Visits whole messages at places that a scan has given, in the order of the file. Only the records that hold
+    /// them are read.
+    pub fn read(
+        &mut self,
+        places: &[Place],
+        visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
+    ) -> Result<(), RecordingError> {
+        let mut places = places.to_vec();
+        places.sort_unstable();
+        places.dedup();
+        for record in places.chunk_by(|a, b| (a.file, a.offset) == (b.file, b.offset)) {
+            let Place { file: index, offset, .. } = record[0];
+            let mut want = |_: &Topic, place: Place| match record.binary_search(&place) {
+                Ok(_) => Wanted::Whole,
+                Err(_) => Wanted::Nothing,
+            };
+            let Some(file) = self.files.get_mut(index as usize) else { continue };
+            let mut visitor = Visitor {
+                topics: &mut self.topics,
+                file: index,
+                verify: false,
+                want: &mut want,
+                visit: &mut *visit,
+                buffer: &mut self.buffer,
+            };
+            match file {
+                RecordingFile::Bag(bag) => bag.read_record(offset, &mut visitor)?,
+                RecordingFile::Mcap(mcap) => mcap.read_record(offset, &mut visitor)?,
+                RecordingFile::Database(database) => database.read_row(offset, &mut visitor)?,
+                RecordingFile::Tum(folder) => folder.read_entry(offset, &mut visitor)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+type Opened = (RecordingFormat, Vec<RecordingFile>);
+
+fn open_file(path: &Path) -> Result<Opened, RecordingError> {
+    let mut beginning = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(16).read_to_end(&mut beginning))
+        .map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+    if beginning.starts_with(b"#ROSBAG V") {
+        Ok((RecordingFormat::Bag, vec![RecordingFile::Bag(Bag::open(path)?)]))
+    } else if beginning.starts_with(&crate::mcap::MAGIC) {
+        Ok((RecordingFormat::Mcap, vec![RecordingFile::Mcap(Mcap::open(path)?)]))
+    } else if beginning.starts_with(b"SQLite format 3\0") {
+        Ok((RecordingFormat::Database, vec![RecordingFile::Database(Database::open(path)?)]))
+    } else {
+        let hint = match beginning.starts_with(&ZSTD_MAGIC) {
+            true => "it is compressed as a whole; unpack it first with `zstd -d`",
+            false => "read are ROS 1 .bag (version 2.0), .mcap, .db3, and folders of rosbag2 and of TUM RGB-D",
+        };
+        Err(RecordingError::Format {
+            path: path.to_owned(),
+            problem: format!("this is no recording that is read: {hint}"),
+        })
+    }
+}
+
+fn open_folder(path: &Path) -> Result<Opened, RecordingError> {
+    if path.join("rgb.txt").is_file() {
+        return Ok((RecordingFormat::Tum, vec![RecordingFile::Tum(TumFolder::open(path)?)]));
+    }
+    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    let mut parts = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(io)? {
+        let file = entry.map_err(io)?.path();
+        if file.extension().is_some_and(|ending| ending == "mcap" || ending == "db3") {
+            parts.push(file);
+        }
+        if parts.len() > MAX_FILES {
+            break;
+        }
+    }
+    // recording_2.mcap comes before recording_10.mcap.
+    parts.sort_by_key(|part| (part_number(part), part.clone()));
+    let mut opened: Option<Opened> = None;
+    for part in parts {
+        let (format, mut files) = open_file(&part)?;
+        match &mut opened {
+            None => opened = Some((format, files)),
+            Some((first, all)) if *first == format => all.append(&mut files),
+            Some(_) => {
+                let problem = "holds .mcap and .db3 files; name the one that is meant".to_owned();
+                return Err(RecordingError::Format { path: path.to_owned(), problem });
+            }
+        }
+    }
+    opened.ok_or_else(|| {
+        let problem = "the folder holds no .mcap, no .db3 and no rgb.txt; name a recording or its folder".to_owned();
+        RecordingError::Format { path: path.to_owned(), problem }
+    })
+}
+
+/// The number after the last underscore, which rosbag2 gives to the files of a split recording.
+fn part_number(path: &Path) -> u64 {
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    stem.rsplit('_').next().and_then(|number| number.parse().ok()).unwrap_or(0)
+}
