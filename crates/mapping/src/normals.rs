@@ -144,12 +144,20 @@ pub(crate) fn surface_patches(
         }
         let here = &inverse[y * width..(y + 1) * width];
         let tolerance: Vec<f32> = own.iter().map(|&z| filter.step_tolerance(z) / (z * z)).collect();
+        // Nothing to do beyond the first and the last pixel with a depth.
+        let begin = own.iter().position(|z| *z > 0.0).unwrap_or(0);
+        let finish = own.iter().rposition(|z| *z > 0.0).map_or(0, |last| last + 1);
         let mut sums = Sums::new(width);
         for &v in &offsets {
             let Some(other) = y.checked_add_signed(v).filter(|other| *other < height) else { continue };
             let there = &inverse[other * width..(other + 1) * width];
             for &u in &offsets {
-                let (first, end) = ((-u).max(0) as usize, (width as isize - u).clamp(0, width as isize) as usize);
+                // Every second neighbour, like the black fields of a chess board: half the work, the same reach.
+                if (u + v) / window.stride as isize % 2 != 0 {
+                    continue;
+                }
+                let first = begin.max((-u).max(0) as usize);
+                let end = finish.min((width as isize - u).clamp(0, width as isize) as usize);
                 if first < end {
                     let shifted = &there[(first as isize + u) as usize..];
                     let (here, tolerance) = (&here[first..end], &tolerance[first..end]);

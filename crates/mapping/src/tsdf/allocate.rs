@@ -15,14 +15,17 @@ use std::mem::size_of;
 pub(super) const BYTES_PER_BLOCK: usize = size_of::<Block>() + size_of::<Box<Block>>() + 5 * size_of::<VoxelKey>();
 /// Blocks along the edge of a region.
 const REGION_EDGE: i32 = 16;
-/// Rays are cast through every second pixel: a block is many pixels wide at any depth at which its voxels make sense.
-const PIXEL_STRIDE: usize = 2;
+/// Rays that meet a block across its width, at least, at the farthest depth of the image.
+const RAYS_PER_BLOCK: f64 = 3.0;
+/// Rays are never cast farther apart than this, pixels, so that small things get their blocks.
+const WIDEST_STRIDE: f64 = 6.0;
 /// Rows that are searched together.
 const ROWS: usize = 16;
 
 /// What the rays of an image share on their way through the blocks.
 struct Search<'a> {
     surface: &'a [Pixel],
+    stride: usize,
     rays: &'a Rays,
     rotation: Matrix3<f32>,
     origin: Vector3<f32>,
@@ -41,7 +44,7 @@ fn blocks_along_row(search: &Search<'_>, row: std::ops::Range<usize>, found: &mu
     const MEMORY: usize = 32;
     let mut last = [[i32::MIN; 3]; MEMORY];
     let limit = INDEX_LIMIT as f32;
-    for index in row.step_by(PIXEL_STRIDE) {
+    for index in row.step_by(search.stride) {
         let z = search.surface[index].depth;
         if z <= 0.0 {
             continue;
@@ -75,9 +78,12 @@ impl Frame {
         let height = self.camera.height as usize;
         let block_m = options.voxel_m * BLOCK_EDGE as f64;
         let inverse = 1.0 / block_m;
+        let block_px = block_m * self.camera.fx.min(self.camera.fy) / f64::from(self.farthest.max(1e-3));
+        let stride = (block_px / RAYS_PER_BLOCK).clamp(1.0, WIDEST_STRIDE) as usize;
         let rotation = self.base_from_depth.rotation.cast::<f32>().to_rotation_matrix();
         let search = Search {
             surface: &self.surface,
+            stride,
             rays,
             rotation: *rotation.matrix(),
             origin: self.base_from_depth.translation.vector.cast(),
@@ -90,7 +96,7 @@ impl Frame {
             .into_par_iter()
             .map(|band| {
                 let mut found = Vec::new();
-                for y in (band * ROWS..((band + 1) * ROWS).min(height)).step_by(PIXEL_STRIDE) {
+                for y in (band * ROWS..((band + 1) * ROWS).min(height)).step_by(stride) {
                     if let Some(point) = blocks_along_row(&search, y * width..(y + 1) * width, &mut found) {
                         return Err(Error::OutOfRange {
                             distance_m: point.iter().fold(0.0, |most, value| f64::from(value.abs()).max(most)),

@@ -11,6 +11,9 @@ use rayon::prelude::*;
 /// One value for each voxel of a row.
 type Row = [f32; BLOCK_EDGE];
 
+/// A steep plane reaches this many truncations farther along the axis than across.
+const DEEPEST: f32 = 3.0;
+
 /// What all voxels of an image's update share.
 struct Update<'a> {
     frame: &'a Frame,
@@ -82,13 +85,19 @@ fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
         let pz: Row = std::array::from_fn(|x| start.z + step.z * x as f32);
         let places = places_seen(&frame.projector, &px, &py, &pz, width, nothing);
         let pixels: [&Pixel; BLOCK_EDGE] = std::array::from_fn(|x| &frame.surface[places[x] as usize]);
-        if pixels.iter().all(|pixel| pixel.depth <= 0.0) {
+        // Most rows of a block lie outside the image, before a hole in it or well behind the surface.
+        let depth: Row = std::array::from_fn(|x| pixels[x].depth);
+        let truncation: Row = std::array::from_fn(|x| {
+            update.truncation_m.max(update.sigmas_floor + update.sigmas_quadratic * depth[x] * depth[x])
+        });
+        let reached = (0..BLOCK_EDGE).any(|x| (depth[x] > 0.0) & (depth[x] - pz[x] >= -DEEPEST * truncation[x]));
+        if !reached {
             continue;
         }
         let base = row * BLOCK_EDGE;
         let distances: &mut Row = (&mut block.distance[base..base + BLOCK_EDGE]).try_into().expect("a row");
         let weights: &mut Row = (&mut block.weight[base..base + BLOCK_EDGE]).try_into().expect("a row");
-        let near = update_row(update, &pixels, &px, &py, &pz, distances, weights);
+        let near = update_row(update, &pixels, &depth, &truncation, [&px, &py, &pz], distances, weights);
         for x in 0..BLOCK_EDGE {
             if near[x] && pixels[x].color[3] != 0 {
                 update_color(update, &mut block.color, base + x, pixels[x].color);
@@ -126,9 +135,9 @@ fn places_seen(projector: &Projector, px: &Row, py: &Row, pz: &Row, width: i32, 
 fn update_row(
     update: &Update<'_>,
     pixels: &[&Pixel; BLOCK_EDGE],
-    px: &Row,
-    py: &Row,
-    pz: &Row,
+    depth: &Row,
+    truncation: &Row,
+    [px, py, pz]: [&Row; 3],
     distances: &mut Row,
     weights: &mut Row,
 ) -> [bool; BLOCK_EDGE] {
@@ -136,18 +145,17 @@ fn update_row(
     let ny: Row = std::array::from_fn(|x| pixels[x].normal[1]);
     let nz: Row = std::array::from_fn(|x| pixels[x].normal[2]);
     let offset: Row = std::array::from_fn(|x| pixels[x].offset);
-    let depth: Row = std::array::from_fn(|x| pixels[x].depth);
     let pixel_weight: Row = std::array::from_fn(|x| pixels[x].weight);
     let (mut distance, mut weight, mut near) = ([0.0; BLOCK_EDGE], [0.0; BLOCK_EDGE], [false; BLOCK_EDGE]);
     for x in 0..BLOCK_EDGE {
-        let truncation = update.truncation_m.max(update.sigmas_floor + update.sigmas_quadratic * depth[x] * depth[x]);
+        let truncation = truncation[x];
         let to_plane = nx[x] * px[x] + ny[x] * py[x] + nz[x] * pz[x] - offset[x];
         let along_axis = depth[x] - pz[x];
-        // Behind the surface nothing is known. A steep plane reaches farther along the axis than across.
-        let known = (depth[x] > 0.0) & (to_plane >= -truncation) & (along_axis >= -3.0 * truncation);
+        // Behind the surface nothing is known.
+        let known = (depth[x] > 0.0) & (to_plane >= -truncation) & (along_axis >= -DEEPEST * truncation);
         // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
         // distance do not pull it away.
-        let free = (to_plane > truncation) | (along_axis > 3.0 * truncation);
+        let free = (to_plane > truncation) | (along_axis > DEEPEST * truncation);
         distance[x] = if free { update.truncation_m } else { to_plane };
         let falling = (to_plane + truncation) / (truncation - update.falloff_m);
         let share_of_weight = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
