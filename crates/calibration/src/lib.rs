@@ -36,7 +36,7 @@ pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDi
 pub use model::{DepthCorrection, JointCorrection, Model};
 pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
 pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};
-pub use pairwise::{PairwiseOptions, calibrate_pairwise, calibrate_pairwise_from};
+pub use pairwise::{PairwiseOptions, Search, calibrate_pairwise, calibrate_pairwise_from};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
 pub use prior::{PriorPolicy, default_sigma, stated_sigma};
 pub use robust::Loss;

@@ -22,6 +22,17 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use skclam_rig::Rig;
 
+/// Whether the pairwise estimator looks for its basin first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Search {
+    /// On a sample of the matches, with losses of several widths: for starts degrees off and for many wrong matches.
+    #[default]
+    Widths,
+    /// Descends from the start at once.
+    Off,
+}
+
 /// Settings of the pairwise estimator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -32,6 +43,8 @@ pub struct PairwiseOptions {
     pub priors: PriorPolicy,
     /// The loss of the last rounds; its constant in sigmas.
     pub loss: Loss,
+    /// Whether the basin is looked for first.
+    pub search: Search,
     /// Iterations of one round at most.
     pub max_iterations: usize,
     /// Rounds at most.
@@ -48,6 +61,7 @@ impl Default for PairwiseOptions {
             free: Free::Auto,
             priors: PriorPolicy::Auto,
             loss: Loss::Tukey(7.0),
+            search: Search::Widths,
             max_iterations: 60,
             max_rounds: 25,
             cost_tolerance: 1e-10,
@@ -224,7 +238,10 @@ pub fn calibrate_pairwise_from(
     let problem = Problem { nominal, parameters: &parameters, priors: &priors, tolerance: options.cost_tolerance };
     let system = PairwiseSystem::new(&pairs, &motion, &parameters);
     let mut effort = Effort::default();
-    let (mut model, sigma) = problem.search(start, &pairs, &motion, &mut effort)?;
+    let (mut model, sigma) = match options.search {
+        Search::Widths => problem.search(start, &pairs, &motion, &mut effort)?,
+        Search::Off => (start.clone(), noise_scale(&system.residuals(start)?)),
+    };
     let freedom = degrees_of_freedom_factor(matches, parameters.len());
     let mut round = Round { loss: options.loss, sigma: (sigma * freedom).max(EXACT_PX) };
     let initial_cost = problem.cost(&system, start, &round)?;
