@@ -7,7 +7,7 @@ mod homography;
 mod ransac;
 mod seven_point;
 
-pub(crate) use epipolar::{Gate, check_positions};
+pub(crate) use epipolar::{Gate, check_matches, check_positions};
 pub use epipolar::{GateOutcome, epipolar_gate};
 pub use ransac::{FundamentalFit, RansacOptions, Verification, verify_epipolar};
 

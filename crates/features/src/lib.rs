@@ -10,6 +10,7 @@ pub mod guided;
 mod keypoint;
 pub mod matching;
 pub mod refine;
+pub mod tracks;
 
 pub use akaze::{Akaze, AkazeOptions};
 pub use error::FeaturesError;
@@ -18,3 +19,4 @@ pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
 pub use refine::{Pyramid, RefineOptions, Refined, Rejection, Seed, WarpModel, refine_matches};
+pub use tracks::{ImagePair, Observation, TrackOptions, TrackPoint, Tracks, build_tracks, refine_tracks};

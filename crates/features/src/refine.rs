@@ -168,9 +168,35 @@ pub fn refine_matches(
     seeds: &[Seed],
     options: &RefineOptions,
 ) -> Result<Vec<Result<Refined, Rejection>>, FeaturesError> {
-    options.check()?;
-    let refine = |template: &mut Template, seed: &Seed| refine_one(template, a, b, seed, options);
-    Ok(seeds.par_iter().with_min_len(32).map_init(|| Template::new(options.patch), refine).collect())
+    let refiner = Refiner::new(options)?;
+    let refine = |refiner: &mut Refiner, seed: &Seed| refiner.refine(a, b, seed);
+    Ok(seeds.par_iter().with_min_len(32).map_init(|| refiner.clone(), refine).collect())
+}
+
+/// Refines one match after the other, on the calling thread, with buffers of its own.
+#[derive(Debug, Clone)]
+pub struct Refiner {
+    template: Template,
+    options: RefineOptions,
+}
+
+impl Refiner {
+    /// A refiner with these options.
+    ///
+    /// # Errors
+    /// [`FeaturesError::BadOption`].
+    pub fn new(options: &RefineOptions) -> Result<Self, FeaturesError> {
+        options.check()?;
+        Ok(Refiner { template: Template::new(options.patch), options: options.clone() })
+    }
+
+    /// Refines a match between image A and image B.
+    ///
+    /// # Errors
+    /// Why the match is not to be believed.
+    pub fn refine(&mut self, a: &Pyramid, b: &Pyramid, seed: &Seed) -> Result<Refined, Rejection> {
+        refine_one(&mut self.template, a, b, seed, &self.options)
+    }
 }
 
 /// Coarse to fine for one match.

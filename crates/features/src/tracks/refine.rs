@@ -1,0 +1,204 @@
+//! One position and covariance for every observation of a track.
+
+use super::{Observation, Tracks};
+use crate::refine::{Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed};
+use crate::{FeaturesError, KeyPoint};
+use nalgebra::{Matrix2, Point2};
+use rayon::prelude::*;
+
+/// Predicts how the patch at the first observation (the reference) changes into the patch at the second: a small offset
+/// `d` in the first image becomes `M d` in the second. `None` where nothing is predicted.
+pub type WarpPrediction<'a> = &'a (dyn Fn(Observation, Observation) -> Option<Matrix2<f64>> + Sync);
+
+/// Where the point of a track is in one of its images.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TrackPoint {
+    /// This sighting names the point: it is where its keypoint is, by definition.
+    Reference {
+        /// The keypoint's position, px.
+        position: Point2<f64>,
+    },
+    /// Aligned with the reference.
+    Refined(Refined),
+    /// Not aligned: the sighting shows something else, or not well enough.
+    Rejected(Rejection),
+}
+
+impl TrackPoint {
+    /// Position in px and covariance in px², if the sighting is to be used; `reference_sigma_px` is what the reference
+    /// is granted. The noise of the reference's patch is in the covariance of the others, so it need only cover what
+    /// the model of the camera leaves.
+    pub fn measurement(&self, reference_sigma_px: f64) -> Option<(Point2<f64>, Matrix2<f64>)> {
+        match self {
+            TrackPoint::Reference { position } => {
+                Some((*position, Matrix2::identity() * reference_sigma_px * reference_sigma_px))
+            }
+            TrackPoint::Refined(refined) => Some((refined.in_b, refined.covariance)),
+            TrackPoint::Rejected(_) => None,
+        }
+    }
+}
+
+/// The refined points of [`Tracks`].
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RefinedTracks {
+    /// One a observation, in the order of [`Tracks::observations`].
+    pub points: Vec<TrackPoint>,
+}
+
+impl RefinedTracks {
+    /// Observations that were aligned with a reference.
+    pub fn refined(&self) -> usize {
+        self.points.iter().filter(|point| matches!(point, TrackPoint::Refined(_))).count()
+    }
+
+    /// Observations that could not be.
+    pub fn rejected(&self) -> usize {
+        self.points.iter().filter(|point| matches!(point, TrackPoint::Rejected(_))).count()
+    }
+}
+
+/// Aligns every observation of a track with the track's reference.
+///
+/// The reference is the observation whose keypoint's size is nearest to all others' (least sum of logarithms' distances),
+/// of equals the one of strongest response, then the first. `keypoints` and `pyramids` hold one entry an image. Where
+/// `predicted` gives nothing, the warp comes from the sizes and orientations of the keypoints.
+///
+/// Runs on rayon's current pool; the result does not depend on it.
+///
+/// # Errors
+/// Options out of range, lists of different length, observations that do not exist.
+pub fn refine_tracks(
+    tracks: &Tracks,
+    keypoints: &[&[KeyPoint]],
+    pyramids: &[Pyramid],
+    predicted: Option<WarpPrediction<'_>>,
+    options: &RefineOptions,
+) -> Result<RefinedTracks, FeaturesError> {
+    if pyramids.len() != keypoints.len() {
+        let what = "prepared images for lists of keypoints";
+        return Err(FeaturesError::CountMismatch { what, got: pyramids.len(), need: keypoints.len() });
+    }
+    for observation in &tracks.observations {
+        let (image, keypoint) = (observation.image as usize, observation.keypoint as usize);
+        let Some(of_image) = keypoints.get(image) else {
+            return Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: keypoints.len() });
+        };
+        if keypoint >= of_image.len() {
+            return Err(FeaturesError::NoSuchIndex { what: "keypoint", index: keypoint, count: of_image.len() });
+        }
+    }
+    let refiner = Refiner::new(options)?;
+    let of = |observation: &Observation| &keypoints[observation.image as usize][observation.keypoint as usize];
+    let tracks: Vec<&[Observation]> = tracks.iter().collect();
+    let refined: Vec<Vec<TrackPoint>> = tracks
+        .par_iter()
+        .with_min_len(16)
+        .map_init(
+            || refiner.clone(),
+            |refiner, track| {
+                let reference = reference(track, of);
+                let (from, named) = (&track[reference], of(&track[reference]));
+                let align = |(index, to): (usize, &Observation)| {
+                    let mut seed = Seed::from_keypoints(named, of(to));
+                    if index == reference {
+                        return TrackPoint::Reference { position: seed.in_a };
+                    }
+                    if let Some(warp) = predicted.and_then(|predicted| predicted(*from, *to)) {
+                        seed.b_from_a = warp;
+                    }
+                    let pyramids = [from, to].map(|observation| &pyramids[observation.image as usize]);
+                    match refiner.refine(pyramids[0], pyramids[1], &seed) {
+                        Ok(refined) => TrackPoint::Refined(refined),
+                        Err(rejection) => TrackPoint::Rejected(rejection),
+                    }
+                };
+                track.iter().enumerate().map(align).collect()
+            },
+        )
+        .collect();
+    Ok(RefinedTracks { points: refined.into_iter().flatten().collect() })
+}
+
+/// Index of the observation that names the point.
+fn reference<'a>(track: &[Observation], of: impl Fn(&Observation) -> &'a KeyPoint) -> usize {
+    let sizes: Vec<f64> = track.iter().map(|observation| f64::from(of(observation).size).ln()).collect();
+    let mut best = (0, f64::INFINITY, f32::NEG_INFINITY);
+    for (index, size) in sizes.iter().enumerate() {
+        let apart: f64 = sizes.iter().map(|other| (other - size).abs()).sum();
+        let response = of(&track[index]).response;
+        if apart < best.1 || (apart == best.1 && response > best.2) {
+            best = (index, apart, response);
+        }
+    }
+    best.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Match;
+    use crate::tracks::{ImagePair, TrackOptions, build_tracks};
+    use image::{GrayImage, Luma};
+
+    /// A smooth pattern without repetition, moved by a fraction of a pixel.
+    fn pattern(dx: f64, dy: f64) -> GrayImage {
+        GrayImage::from_fn(200, 160, |x, y| {
+            let (x, y) = (f64::from(x) - dx, f64::from(y) - dy);
+            let waves = (0.31 * x + 0.17 * y).sin() + (0.22 * x - 0.41 * y).sin() + (0.013 * x * y / 2.0).sin();
+            Luma([(127.0 + 35.0 * waves) as u8])
+        })
+    }
+
+    #[test]
+    fn each_sighting_has_one_position_and_a_wrong_one_is_rejected() {
+        let shifts = [(0.0, 0.0), (5.3, -2.6), (-3.75, 4.2), (8.5, 1.1)];
+        let pyramids: Vec<Pyramid> = shifts.iter().map(|(dx, dy)| Pyramid::new(&pattern(*dx, *dy))).collect();
+        let keypoint = |x: f64, y: f64, response: f32| KeyPoint {
+            x: x as f32,
+            y: y as f32,
+            size: 5.0,
+            angle: 0.0,
+            response,
+            octave: 0,
+            level: 0,
+        };
+        let points: Vec<(f64, f64)> =
+            (0..12).map(|i| (40.0 + 10.0 * f64::from(i), 40.0 + 7.0 * f64::from(i % 9))).collect();
+        let mut keypoints: Vec<Vec<KeyPoint>> = Vec::new();
+        for (image, (dx, dy)) in shifts.iter().enumerate() {
+            // Off by up to half a pixel, but for the reference (of strongest response).
+            let off = if image == 1 { 0.0 } else { 0.4 };
+            let response = if image == 1 { 2.0 } else { 1.0 };
+            keypoints.push(points.iter().map(|(x, y)| keypoint(x + dx + off, y + dy - off, response)).collect());
+        }
+        // The last image's third keypoint is somewhere else altogether.
+        keypoints[3][2].x += 40.0;
+        let matches: Vec<Match> =
+            (0..12).map(|index| Match { a: index, b: index, distance: 10, second_distance: 90 }).collect();
+        let pairs: Vec<_> = (0..3).map(|a| ImagePair { a, b: a + 1, matches: &matches }).collect();
+        let tracks = build_tracks(&[12; 4], &pairs, &TrackOptions::default()).unwrap();
+        assert_eq!(tracks.len(), 12);
+        let lists: Vec<&[KeyPoint]> = keypoints.iter().map(Vec::as_slice).collect();
+        let options = RefineOptions { min_correlation: 0.95, ..RefineOptions::default() };
+        let refined = refine_tracks(&tracks, &lists, &pyramids, None, &options).unwrap();
+        for (observation, point) in tracks.observations.iter().zip(&refined.points) {
+            let ((x, y), (dx, dy)) = (points[observation.keypoint as usize], shifts[observation.image as usize]);
+            match point {
+                TrackPoint::Rejected(_) => assert_eq!((observation.image, observation.keypoint), (3, 2)),
+                point => {
+                    let (position, covariance) = point.measurement(0.02).unwrap();
+                    let error = position - Point2::new(x + dx, y + dy);
+                    assert!(error.norm() < 0.03, "{observation:?}: {error:?}");
+                    assert!(covariance.trace() < 0.05);
+                }
+            }
+        }
+        assert_eq!((refined.refined(), refined.rejected()), (35, 1));
+        // A prediction that is nonsense is used, and tells.
+        let nonsense = |_: Observation, _: Observation| Some(Matrix2::new(0.0, -1.0, 1.0, 0.0));
+        let wrong = refine_tracks(&tracks, &lists, &pyramids, Some(&nonsense), &options).unwrap();
+        assert!(wrong.refined() <= 2, "{}", wrong.refined());
+        assert!(refine_tracks(&tracks, &lists[..3], &pyramids, None, &options).is_err());
+    }
+}
