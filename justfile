@@ -25,9 +25,13 @@ docs *ARGS:
 reproduce *ARGS:
     cargo run --release --bin skclam -- reproduce --out out/reproduce {{ ARGS }}
 
-# A benchmark under benchmarks/, by path: `just bench features/akaze_vs_opencv speed`. Each says in its head what it needs.
-bench NAME *ARGS:
-    python3 benchmarks/{{ NAME }}.py {{ ARGS }}
+# AKAZE beside OpenCV's on the same pictures; wants Python and ../shared/data. `just bench-features speed` for a part.
+bench-features *ARGS:
+    python3 benchmarks/features/akaze_vs_opencv.py {{ ARGS }}
+
+# Fusion beside Open3D; wants Python 3.11 and what the script's head names.
+bench-mapping *ARGS:
+    sh benchmarks/mapping/run.sh {{ ARGS }}
 
 # Everything that must hold before a change lands.
 ci:
