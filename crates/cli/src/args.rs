@@ -102,6 +102,25 @@ pub struct RunArgs {
     pub config: Option<PathBuf>,
 }
 
+/// A file that `map` can write beside the cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MapFileArg {
+    /// mesh.ply: the fused surface.
+    Mesh,
+    /// mesh.obj.
+    Obj,
+    /// mesh.glb.
+    Glb,
+    /// collision.stl: fewer triangles, for planners.
+    Stl,
+    /// cloud.pcd: the surface's vertices.
+    Pcd,
+    /// map.bt and map.ot: free and occupied space.
+    Octomap,
+    /// esdf.npz: distance to the nearest obstacle.
+    Esdf,
+}
+
 /// Arguments of `map`.
 #[derive(Debug, Args)]
 pub struct MapArgs {
@@ -114,6 +133,12 @@ pub struct MapArgs {
     /// Folder for the results; made if it is not there.
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
+    /// Edge of a voxel, millimetres; by default what the depth camera resolves at the range at which it was used.
+    #[arg(long, value_name = "MM")]
+    pub voxel_mm: Option<f64>,
+    /// More files, separated by commas: the fused surface and free space, for planners.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "FILE,...")]
+    pub also: Vec<MapFileArg>,
 }
 
 /// Arguments of `evaluate`.
@@ -128,6 +153,9 @@ pub struct EvaluateArgs {
     /// The data set whose postures are compared.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub dataset: PathBuf,
+    /// The true surface (PLY, base frame): the result's mesh.ply or map.ply is compared with it.
+    #[arg(long, value_name = "PLY", value_hint = ValueHint::FilePath)]
+    pub surface: Option<PathBuf>,
 }
 
 /// Image noise of a simulation.

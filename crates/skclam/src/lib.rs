@@ -1,11 +1,12 @@
 //! Simultaneous kinematic calibration, localization and mapping: datasets, the pipeline, evaluation.
 //!
 //! Begin with [`pipeline::run`]: a [`dataset::Dataset`] and a [`pipeline::Config`] in, a [`pipeline::Outcome`] out. The
-//! rooms below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`] and
-//! [`simulation`].
+//! rooms below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
+//! [`simulation`] and [`recordings`].
 
 pub mod dataset;
 pub mod evaluation;
+pub mod import;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
@@ -19,5 +20,6 @@ pub use skclam_features as features;
 pub use skclam_geometry as geometry;
 pub use skclam_kinematics as kinematics;
 pub use skclam_mapping as mapping;
+pub use skclam_recordings as recordings;
 pub use skclam_rig as rig;
 pub use skclam_simulation as simulation;

@@ -5,6 +5,8 @@ use std::fmt;
 /// The stages of a run, in the paper's order (section 3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Stage {
+    /// Taking the postures out of a recording.
+    Import,
     /// Rendering the virtual cell.
     Simulate,
     /// Detecting and describing keypoints, section 3.2.
@@ -24,6 +26,7 @@ pub enum Stage {
 impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
+            Stage::Import => "import",
             Stage::Simulate => "simulate",
             Stage::ExtractFeatures => "features",
             Stage::MatchPairs => "match",

@@ -4,9 +4,8 @@ use super::{Config, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use crate::trajectory::StampedPose;
-use image::GrayImage;
 use rayon::prelude::*;
-use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
+use skclam_geometry::{DepthCamera, Isometry3};
 use skclam_mapping::{CloudBuilder, CloudOptions, PointCloud, TsdfOptions, View};
 use skclam_rig::Rig;
 
@@ -37,39 +36,29 @@ pub fn build_maps<const N: usize>(
         return Ok(None);
     };
     progress.begin(Stage::Map, (N * dataset.len()) as u64);
-    let options = cloud_options(dataset, &depth_camera, config)?;
-    let sensors = Sensors {
-        depth_camera,
-        color_camera: rig.color,
-        color_mask: dataset.color_mask()?,
-        depth_mask: dataset.depth_mask()?,
-    };
+    let options = CloudOptions { voxel_m: Some(voxel_m(dataset, &depth_camera, config)?), ..config.cloud };
     let mut clouds = Vec::with_capacity(N);
     for poses in poses {
-        clouds.push(build_map(dataset, poses, &sensors, options, progress)?);
+        let mut builder = CloudBuilder::new(options)?;
+        for_each_view(dataset, poses, rig, progress, |view| Ok(builder.add(view).map(drop)?))?;
+        clouds.push(builder.finish());
     }
     Ok(clouds.try_into().ok())
 }
 
-/// What all views have in common.
-struct Sensors {
-    depth_camera: DepthCamera,
-    color_camera: PinholeCamera,
-    color_mask: Option<GrayImage>,
-    depth_mask: Option<GrayImage>,
-}
-
-/// Images that are decoded side by side before they are added in order.
+/// Images that are decoded side by side before they are handed out in order.
 const DECODED_TOGETHER: usize = 8;
 
-fn build_map(
+/// Hands out every depth image with its colour image at its pose, in the order of the recording; one step of progress each.
+pub fn for_each_view(
     dataset: &Dataset,
     poses: &[Isometry3],
-    sensors: &Sensors,
-    options: CloudOptions,
+    rig: &Rig,
     progress: &dyn Progress,
-) -> Result<PointCloud, RunError> {
-    let mut builder = CloudBuilder::new(options)?;
+    mut take: impl FnMut(&View<'_>) -> Result<(), RunError>,
+) -> Result<(), RunError> {
+    let Some(depth_camera) = rig.depth else { return Ok(()) };
+    let (color_mask, depth_mask) = (dataset.color_mask()?, dataset.depth_mask()?);
     let indices: Vec<usize> = (0..dataset.len()).collect();
     for chunk in indices.chunks(DECODED_TOGETHER) {
         if progress.stop_requested() {
@@ -84,29 +73,29 @@ fn build_map(
             .collect::<Result<Vec<_>, RunError>>()?;
         for (&index, images) in chunk.iter().zip(&decoded) {
             if let Some((depth, color)) = images {
-                builder.add(&View {
+                take(&View {
                     depth,
                     color: Some(color),
-                    depth_camera: &sensors.depth_camera,
-                    color_camera: &sensors.color_camera,
+                    depth_camera: &depth_camera,
+                    color_camera: &rig.color,
                     base_from_color: poses[index],
-                    depth_mask: sensors.depth_mask.as_ref(),
-                    color_mask: sensors.color_mask.as_ref(),
+                    depth_mask: depth_mask.as_ref(),
+                    color_mask: color_mask.as_ref(),
                 })?;
             }
             progress.step();
         }
     }
-    Ok(builder.finish())
+    Ok(())
 }
 
 /// Images that are looked at for the range of depths.
 const RANGE_IMAGES: usize = 8;
 
-/// The settings of the cloud with a voxel that fits the depth camera at the range at which it was used.
-fn cloud_options(dataset: &Dataset, depth_camera: &DepthCamera, config: &Config) -> Result<CloudOptions, RunError> {
+/// The edge of a voxel: as configured, or what fits the depth camera at the range at which it was used. Metres.
+pub fn voxel_m(dataset: &Dataset, depth_camera: &DepthCamera, config: &Config) -> Result<f64, RunError> {
     if let Some(voxel_m) = config.voxel_m {
-        return Ok(CloudOptions { voxel_m: Some(voxel_m), ..config.cloud });
+        return Ok(voxel_m);
     }
     let mut depths = Vec::new();
     for index in (0..dataset.len()).step_by(dataset.len().div_ceil(RANGE_IMAGES)) {
@@ -115,10 +104,9 @@ fn cloud_options(dataset: &Dataset, depth_camera: &DepthCamera, config: &Config)
         }
     }
     if depths.is_empty() {
-        return Ok(config.cloud);
+        return Ok(TsdfOptions::default().voxel_m);
     }
     let middle = depths.len() / 2;
     let (_, median, _) = depths.select_nth_unstable_by(middle, f32::total_cmp);
-    let voxel_m = TsdfOptions::voxel_for(&depth_camera.camera, f64::from(*median), &config.cloud.filter);
-    Ok(CloudOptions { voxel_m: Some(voxel_m), ..config.cloud })
+    Ok(TsdfOptions::voxel_for(&depth_camera.camera, f64::from(*median), &config.cloud.filter))
 }
