@@ -1,11 +1,14 @@
-//! Piles a dataset up into a cloud and draws it from several sides.
+//! Piles a dataset up into a cloud, fuses it into a mesh, and draws both from several sides.
 //!
 //! `cargo run --release -p skclam-mapping --example draw_map -- ../shared/data/virtual-cell OUT_DIR [VOXEL_MM]`
 
 #[path = "../tests/dataset/mod.rs"]
 mod dataset;
 
-use skclam_mapping::{CloudBuilder, CloudOptions, Model, RenderCamera, RenderOptions, ViewPreset, render, write_ply};
+use skclam_mapping::{
+    CloudBuilder, CloudOptions, Model, RenderCamera, RenderOptions, SurfaceOptions, Tsdf, TsdfOptions, ViewPreset,
+    render, write_ply,
+};
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
@@ -41,5 +44,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let eye = RenderCamera::from_camera(&dataset.color_camera, dataset.shots[0].base_from_color);
     render(&model, &eye, &options)?.save(out.join("shot0.png"))?;
+
+    let mut tsdf = Tsdf::new(TsdfOptions { voxel_m, ..Default::default() })?;
+    for index in 0..dataset.shots.len() {
+        tsdf.integrate(&dataset.view(index))?;
+    }
+    let mesh = Model::Mesh(tsdf.surface(&SurfaceOptions::default())?);
+    for preset in [Top, Isometric, Perspective] {
+        let picture = render(&mesh, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
+        picture.save(out.join(format!("mesh_{preset:?}.png").to_lowercase()))?;
+    }
+    render(&mesh, &eye, &options)?.save(out.join("mesh_shot0.png"))?;
     Ok(())
 }

@@ -39,6 +39,8 @@ pub(super) struct Frame {
     pub(super) base_from_depth: Isometry3<f64>,
     /// Row-major, and one more at the end at which nothing is known, for voxels outside the image.
     pub(super) surface: Vec<Pixel>,
+    /// The depths of `surface` by themselves.
+    pub(super) depth: Vec<f32>,
     /// Largest depth in each tile of 16 x 16 pixels, 0 where there is none.
     pub(super) farthest_in_tile: Vec<f32>,
     pub(super) tiles_x: usize,
@@ -94,6 +96,7 @@ impl Frame {
             camera,
             projector: Projector::new(&camera),
             base_from_depth: view.base_from_depth(),
+            depth: surface.iter().map(|pixel| pixel.depth).collect(),
             surface,
             farthest: farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z)),
             farthest_in_tile,

@@ -84,9 +84,9 @@ fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
         let py: Row = std::array::from_fn(|x| start.y + step.y * x as f32);
         let pz: Row = std::array::from_fn(|x| start.z + step.z * x as f32);
         let places = places_seen(&frame.projector, &px, &py, &pz, width, nothing);
-        let pixels: [&Pixel; BLOCK_EDGE] = std::array::from_fn(|x| &frame.surface[places[x] as usize]);
-        // Most rows of a block lie outside the image, before a hole in it or well behind the surface.
-        let depth: Row = std::array::from_fn(|x| pixels[x].depth);
+        // Most rows of a block lie outside the image, before a hole in it or well behind the surface: the depths
+        // alone, which stay in the cache, tell that.
+        let depth: Row = std::array::from_fn(|x| frame.depth[places[x] as usize]);
         let truncation: Row = std::array::from_fn(|x| {
             update.truncation_m.max(update.sigmas_floor + update.sigmas_quadratic * depth[x] * depth[x])
         });
@@ -94,6 +94,7 @@ fn update_block(update: &Update<'_>, first: Vector3<f32>, block: &mut Block) {
         if !reached {
             continue;
         }
+        let pixels: [&Pixel; BLOCK_EDGE] = std::array::from_fn(|x| &frame.surface[places[x] as usize]);
         let base = row * BLOCK_EDGE;
         let distances: &mut Row = (&mut block.distance[base..base + BLOCK_EDGE]).try_into().expect("a row");
         let weights: &mut Row = (&mut block.weight[base..base + BLOCK_EDGE]).try_into().expect("a row");
