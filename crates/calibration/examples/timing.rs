@@ -108,8 +108,10 @@ fn bundle() {
     let mut rng = seeded(2);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 100, &mut rng);
-    let points = room(1_000_000, &mut rng);
-    let sensing = Sensing { depth_relative: Some(0.0044), keypoints: 10_000, ..half_pixel() };
+    // Fewer sights on demand: `timing bundle 100000`.
+    let sights = std::env::args().nth(2).and_then(|sights| sights.parse().ok()).unwrap_or(1_000_000usize);
+    let points = room(sights, &mut rng);
+    let sensing = Sensing { depth_relative: Some(0.0044), keypoints: sights / 100, ..half_pixel() };
     let data = record(&truth, &postures, &points, sensing, &mut rng);
     drop(points);
     let mut parameters = Free::All.candidates(&hp3j(), true, true).expect("the rig's own");

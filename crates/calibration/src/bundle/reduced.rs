@@ -141,20 +141,18 @@ fn linearize(view: &View<'_>, sighting: &Sighting, point: &Point3, shared_free: 
         SharedSight { by_point: weighted * jacobian, information: weighted * wide, descent: weighted * residual }
     });
     if sighting.depth_m > 0.0 {
-        let inverse_unit = 1.0 / (view.scales.depth * sighting.depth_unit());
-        let corrected = view.depth.offset_m + view.depth.scale * sighting.depth_m;
-        let residual = (corrected - in_camera.z) * inverse_unit;
-        let weight = view.scales.loss.weight(residual) * inverse_unit;
-        information[(2, 2)] += weight * inverse_unit;
-        descent.z += weight * residual;
+        let (residual, slope) = view.depth_residual(sighting, in_camera.z);
+        let weight = view.scales.loss.weight(residual);
+        information[(2, 2)] += weight * slope * slope;
+        descent.z += weight * residual * slope;
         if let Some(shared) = &mut shared {
             // The residual grows with the shared numbers where it falls with z.
             let mut row = SharedVector::zeros();
-            row[DEPTH_OFFSET] = -1.0;
-            row[DEPTH_SCALE] = -sighting.depth_m;
+            row[DEPTH_OFFSET] = -slope;
+            row[DEPTH_SCALE] = -slope * (in_camera.z - view.depth.offset_m) / view.depth.scale;
             let mut by_point = shared.by_point.column_mut(2);
-            by_point.axpy(weight * inverse_unit, &row, 1.0);
-            shared.information += row * row.transpose() * (weight * inverse_unit);
+            by_point.axpy(weight * slope, &row, 1.0);
+            shared.information += row * row.transpose() * weight;
             shared.descent += row * (weight * residual);
         }
     }
@@ -432,9 +430,8 @@ pub(crate) fn residual_sizes(
         let weight = view.scales.loss.weight(residual.norm());
         let leverage = (jacobian * in_frame * jacobian.transpose()).trace() * weight;
         let depth = (sighting.depth_m > 0.0).then(|| {
-            let unit = view.scales.depth * sighting.depth_unit();
-            let u = (view.depth.offset_m + view.depth.scale * sighting.depth_m - in_camera.z) / unit;
-            let leverage = view.scales.loss.weight(u) * in_frame[(2, 2)] / (unit * unit);
+            let (u, slope) = view.depth_residual(sighting, in_camera.z);
+            let leverage = view.scales.loss.weight(u) * in_frame[(2, 2)] * slope * slope;
             (u, (1.0 - leverage).clamp(0.0, 1.0))
         });
         ResidualSize {

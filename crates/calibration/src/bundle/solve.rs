@@ -73,8 +73,8 @@ impl Default for BundleOptions {
 const START_MATCHES: usize = 20_000;
 /// Sigma of the deviations before the data are heard, rad (0.003 deg).
 const FIRST_DEVIATION: f64 = 5.2e-5;
-/// Deviations below this cannot be told from none, rad.
-const LEAST_DEVIATION: f64 = 1e-6;
+/// Deviations below this (0.0003 deg) move no pixel by what can be measured, rad.
+const LEAST_DEVIATION: f64 = 5e-6;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
 /// The noise has settled when it changes by less than this fraction.
@@ -254,15 +254,25 @@ impl Solve<'_> {
             rounds += 1;
             let adjustment = self.adjustment(&observations, noise, loss);
             let descent = adjustment.descend(state, self.options.max_iterations)?;
+            if std::env::var("DBG").is_ok() {
+                eprintln!(
+                    "round {rounds} {noise:?} it {} {} cost {}->{}",
+                    descent.iterations, descent.reason, descent.initial_cost, descent.cost
+                );
+            }
             iterations += descent.iterations;
             evaluations += descent.evaluations;
             initial_cost.get_or_insert(descent.initial_cost);
             state = descent.state;
+            observations.weigh_by_estimated_depth(&state.points, &state.poses);
+            let adjustment = self.adjustment(&observations, noise, loss);
             sizes = adjustment.residual_sizes(&state);
             let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
             let mut next = rescaled(&sizes, &noise, 1.0 - unknown_count as f64 / freedom.max(1.0));
             if joints > 0 && self.estimates_deviations() {
-                next.deviation = self.deviation_sigma(&adjustment, &state)?.max(LEAST_DEVIATION);
+                // The fixed point is approached by small factors; their square halves the number of rounds.
+                let factor = (self.deviation_sigma(&adjustment, &state)? / noise.deviation).clamp(0.3, 3.0);
+                next.deviation = (noise.deviation * factor * factor).max(LEAST_DEVIATION);
             }
             let change = |old: f64, new: f64| (new / old - 1.0).abs();
             let deviation_settled = next.deviation <= LEAST_DEVIATION && noise.deviation <= LEAST_DEVIATION

@@ -40,13 +40,16 @@ impl View<'_> {
         let loss = self.scales.loss;
         let Some(pixel) = self.camera.project(&in_camera) else { return 2.0 * loss.rho(BEHIND) };
         let u = sighting.whiten(sighting.pixel - pixel).norm() / self.scales.pixel;
-        let depth = if sighting.depth_m > 0.0 {
-            let z = self.depth.offset_m + self.depth.scale * sighting.depth_m;
-            loss.rho((z - in_camera.z) / (self.scales.depth * sighting.depth_unit()))
-        } else {
-            0.0
-        };
+        let depth = if sighting.depth_m > 0.0 { loss.rho(self.depth_residual(sighting, in_camera.z).0) } else { 0.0 };
         loss.rho(u) + depth
+    }
+
+    /// What was measured less what a point at `z` should have given, in sigmas, and by how much it falls a metre of z. It is taken in the sensor's own
+    /// reading: a residual in corrected metres would shrink with the depth's scale, and the world with it.
+    pub(crate) fn depth_residual(&self, sighting: &Sighting, z: f64) -> (f64, f64) {
+        let inverse = 1.0 / (self.scales.depth * sighting.depth_unit);
+        let expected = (z - self.depth.offset_m) / self.depth.scale;
+        ((sighting.depth_m - expected) * inverse, inverse / self.depth.scale)
     }
 
     /// A point for a track; `None` where the rays do not meet in front of the cameras, or at too small an angle.
@@ -158,11 +161,10 @@ pub(crate) fn linearize_sighting(
     let mut information = jacobian.transpose() * jacobian * weight;
     let mut descent = jacobian.transpose() * residual * weight;
     if sighting.depth_m > 0.0 {
-        let unit = view.scales.depth * sighting.depth_unit();
-        let residual = (view.depth.offset_m + view.depth.scale * sighting.depth_m - in_camera.z) / unit;
+        let (residual, slope) = view.depth_residual(sighting, in_camera.z);
         let weight = view.scales.loss.weight(residual);
-        information[(2, 2)] += weight / (unit * unit);
-        descent.z += weight * residual / unit;
+        information[(2, 2)] += weight * slope * slope;
+        descent.z += weight * residual * slope;
     }
     Some(SightingInformation { information, descent })
 }
