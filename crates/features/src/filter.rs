@@ -3,7 +3,7 @@
 //! is counted.
 
 mod epipolar;
-mod homography;
+pub(crate) mod homography;
 mod ransac;
 mod seven_point;
 

@@ -8,22 +8,23 @@ use rand_chacha::ChaCha8Rng;
 /// Samples drawn; with two thirds of the points on a plane, one free of others is missed once in 10^9.
 const SAMPLES: usize = 100;
 
-/// Most points, of those chosen, that a homography maps from B to within the threshold in A.
-pub(super) fn most_inliers(
+/// The homography `a_from_b` that maps most of the chosen points from B to within the threshold in A, of those through
+/// four of them, and how many; `None` if no four determine one.
+pub(crate) fn fit(
     in_a: &[Point2<f64>],
     in_b: &[Point2<f64>],
     chosen: &[usize],
     threshold_px: f64,
     random: &mut ChaCha8Rng,
-) -> usize {
+) -> Option<(Matrix3<f64>, usize)> {
     if chosen.len() < 4 {
-        return chosen.len();
+        return None;
     }
     let points_a: Vec<_> = chosen.iter().map(|&index| in_a[index]).collect();
     let points_b: Vec<_> = chosen.iter().map(|&index| in_b[index]).collect();
     let (of_a, of_b) = (Normalisation::of(&points_a), Normalisation::of(&points_b));
-    let Some(to_pixels) = of_a.matrix().try_inverse() else { return 0 };
-    let mut most = 0;
+    let to_pixels = of_a.matrix().try_inverse()?;
+    let mut best: Option<(Matrix3<f64>, usize)> = None;
     for _ in 0..SAMPLES {
         let sample = distinct::<4>(random, chosen.len());
         let Some(normalised) = from_four(
@@ -38,12 +39,15 @@ pub(super) fn most_inliers(
             let (x, y) = (mapped.x / mapped.z - in_a.x, mapped.y / mapped.z - in_a.y);
             x * x + y * y <= threshold_px * threshold_px
         };
-        most = most.max(points_a.iter().zip(&points_b).filter(close).count());
-        if most == chosen.len() {
+        let inliers = points_a.iter().zip(&points_b).filter(close).count();
+        if best.is_none_or(|(_, most)| inliers > most) {
+            best = Some((a_from_b, inliers));
+        }
+        if inliers == chosen.len() {
             break;
         }
     }
-    most
+    best
 }
 
 /// The homography through four correspondences, its last entry 1; `None` where they do not determine one.

@@ -108,7 +108,8 @@ pub fn verify_epipolar(
     if !best.cost.is_finite() || inliers.len() < need {
         return Ok(Verification::NoConsensus { got: inliers.len(), need });
     }
-    let homography_inliers = homography::most_inliers(in_a, in_b, &inliers, options.threshold_px, &mut random);
+    let homography_inliers =
+        homography::fit(in_a, in_b, &inliers, options.threshold_px, &mut random).map_or(0, |(_, count)| count);
     Ok(Verification::Verified(FundamentalFit {
         fundamental: best.fundamental,
         inliers,
