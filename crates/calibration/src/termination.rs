@@ -65,6 +65,16 @@ pub struct Termination {
     pub final_cost: f64,
 }
 
+impl Termination {
+    /// Counts the effort of an earlier stage.
+    pub(crate) fn add_effort(&mut self, earlier: &Termination) {
+        self.iterations += earlier.iterations;
+        self.evaluations += earlier.evaluations;
+        self.rounds += earlier.rounds;
+        self.initial_cost = earlier.initial_cost;
+    }
+}
+
 impl StopReason {
     /// Whether a threshold was reached (and not a limit).
     pub fn is_converged(&self) -> bool {

@@ -16,4 +16,8 @@ mod tests;
 mod triangulate;
 mod unknowns;
 
+pub(crate) use noise::OUTLIER_SIGMAS;
+pub(crate) use observations::Observations;
+pub(crate) use solve::compare;
 pub use solve::{BundleOptions, DeviationPolicy, calibrate_bundle};
+pub(crate) use state::NoiseScales;

@@ -2,7 +2,7 @@
 
 use crate::{CalibrationError, Correspondences, Warning};
 use nalgebra::{Matrix2, Vector2};
-use skclam_geometry::{Isometry3, Pixel, Point3};
+use skclam_geometry::{Pixel, Point3};
 use skclam_rig::Rig;
 
 /// One sight of a scene point.
@@ -11,9 +11,6 @@ pub(crate) struct Sighting {
     pub posture: u32,
     /// z-depth in the camera, metres; 0 where nothing was measured.
     pub depth_m: f64,
-    /// Square of the depth, m^2, by which the depth's noise grows. The measured depth at first, then that of the estimated point: weights made of the
-    /// noisy measurement itself would shrink the world (near readings would count more than far ones).
-    pub depth_unit: f64,
     pub pixel: Pixel,
     /// Upper triangle of the matrix that whitens a pixel difference (relative units).
     whitener: [f64; 3],
@@ -80,7 +77,6 @@ impl Observations {
                 flat.sightings.push(Sighting {
                     posture: observation.posture as u32,
                     depth_m: observation.depth_m.unwrap_or(0.0),
-                    depth_unit: observation.depth_m.unwrap_or(0.0).powi(2),
                     pixel: observation.pixel,
                     whitener: whitener(&observation.covariance),
                 });
@@ -105,13 +101,7 @@ impl Observations {
                     return Err(error(format!("corner ({column}, {row}) is not on a board of {columns} x {rows}")));
                 }
                 let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
-                let sighting = Sighting {
-                    posture: posture as u32,
-                    depth_m: 0.0,
-                    depth_unit: 0.0,
-                    pixel,
-                    whitener: [1.0, 0.0, 1.0],
-                };
+                let sighting = Sighting { posture: posture as u32, depth_m: 0.0, pixel, whitener: [1.0, 0.0, 1.0] };
                 flat.corners.push(CornerSighting { sighting, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
                     Ok(at) => corner_tracks[at].1.push(sighting),
@@ -141,14 +131,11 @@ impl Observations {
         self.sightings.iter().filter(|sighting| sighting.depth_m > 0.0).count()
     }
 
-    /// Takes the square of the estimated depth for the growth of the noise, within a factor of two of the measured one (four of its square).
-    pub(crate) fn weigh_by_estimated_depth(&mut self, points: &[Point3], poses: &[Isometry3]) {
-        for (track, point) in points.iter().enumerate() {
-            for sighting in &mut self.sightings[self.offsets[track]..self.offsets[track + 1]] {
-                let z = poses[sighting.posture as usize].inverse_transform_point(point).z;
-                sighting.depth_unit = z.clamp(0.5 * sighting.depth_m, 2.0 * sighting.depth_m).powi(2);
-            }
-        }
+    /// Every `stride`-th track, and all board corners.
+    pub(crate) fn sampled(&self, stride: usize) -> Self {
+        let mut sample = self.clone();
+        sample.retain_tracks(&(0..self.track_count()).map(|track| track % stride == 0).collect::<Vec<_>>());
+        sample
     }
 
     /// The same without the tracks that `keep` refuses.

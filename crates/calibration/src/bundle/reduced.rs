@@ -93,11 +93,12 @@ struct LinearSight {
     descent: Vector3<f64>,
     in_camera: Point3,
     rotation: Matrix3<f64>,
-    shared: Option<SharedSight>,
+    /// Coupling of the shared numbers with the point in the camera.
+    shared_by_point: SharedByPoint,
 }
 
-struct SharedSight {
-    by_point: SharedByPoint,
+/// What the shared numbers have of a track by themselves; `None` where none of them is free.
+struct SharedSums {
     information: SharedMatrix,
     descent: SharedVector,
 }
@@ -121,7 +122,12 @@ fn twist_right<const R: usize>(in_camera: &Point3, m: &SMatrix<f64, R, 3>) -> SM
     out
 }
 
-fn linearize(view: &View<'_>, sighting: &Sighting, point: &Point3, shared_free: bool) -> Option<LinearSight> {
+fn linearize(
+    view: &View<'_>,
+    sighting: &Sighting,
+    point: &Point3,
+    shared: &mut Option<SharedSums>,
+) -> Option<LinearSight> {
     let pose = &view.poses[sighting.posture as usize];
     let in_camera = pose.inverse_transform_point(point);
     let projection = view.camera.project_with_jacobian(&in_camera)?;
@@ -133,31 +139,36 @@ fn linearize(view: &View<'_>, sighting: &Sighting, point: &Point3, shared_free: 
     let weighted = jacobian.transpose() * weight;
     let mut information = weighted * jacobian;
     let mut descent = weighted * residual;
-    let mut shared = shared_free.then(|| {
+    let mut shared_by_point = SharedByPoint::zeros();
+    if let Some(shared) = shared {
         let by_intrinsics = whitener * projection.by_intrinsics;
-        let mut wide = SMatrix::<f64, 2, SHARED>::zeros();
-        wide.fixed_columns_mut::<INTRINSICS>(0).copy_from(&by_intrinsics);
-        let weighted = wide.transpose() * weight;
-        SharedSight { by_point: weighted * jacobian, information: weighted * wide, descent: weighted * residual }
-    });
+        let weighted = by_intrinsics.transpose() * weight;
+        shared_by_point.fixed_rows_mut::<INTRINSICS>(0).copy_from(&(weighted * jacobian));
+        let mut own = shared.information.fixed_view_mut::<INTRINSICS, INTRINSICS>(0, 0);
+        own += weighted * by_intrinsics;
+        let mut pull = shared.descent.fixed_rows_mut::<INTRINSICS>(0);
+        pull += weighted * residual;
+    }
     if sighting.depth_m > 0.0 {
         let (residual, slope) = view.depth_residual(sighting, in_camera.z);
         let weight = view.scales.loss.weight(residual);
         information[(2, 2)] += weight * slope * slope;
         descent.z += weight * residual * slope;
-        if let Some(shared) = &mut shared {
+        if let Some(shared) = shared {
             // The residual grows with the shared numbers where it falls with z.
-            let mut row = SharedVector::zeros();
-            row[DEPTH_OFFSET] = -slope;
-            row[DEPTH_SCALE] = -slope * (in_camera.z - view.depth.offset_m) / view.depth.scale;
-            let mut by_point = shared.by_point.column_mut(2);
-            by_point.axpy(weight * slope, &row, 1.0);
-            shared.information += row * row.transpose() * weight;
-            shared.descent += row * (weight * residual);
+            let by_offset = -slope;
+            let by_scale = -slope * (in_camera.z - view.depth.offset_m) / view.depth.scale;
+            for (i, x) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+                shared_by_point[(i, 2)] += weight * slope * x;
+                shared.descent[i] += weight * residual * x;
+                for (j, y) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+                    shared.information[(i, j)] += weight * x * y;
+                }
+            }
         }
     }
     let rotation = *pose.rotation.to_rotation_matrix().matrix();
-    Some(LinearSight { posture: sighting.posture as usize, information, descent, in_camera, rotation, shared })
+    Some(LinearSight { posture: sighting.posture as usize, information, descent, in_camera, rotation, shared_by_point })
 }
 
 /// A track linearised: its point's block and the couplings of its sights.
@@ -166,6 +177,7 @@ struct LinearTrack {
     inverse: Matrix3<f64>,
     descent: Vector3<f64>,
     shared_by_point: SharedByPoint,
+    shared: Option<SharedSums>,
 }
 
 /// `None` where the point's block is singular: the track then says nothing.
@@ -179,21 +191,23 @@ fn linearize_track(
     let mut information = Matrix3::zeros();
     let mut descent = Vector3::zeros();
     let mut shared_by_point = SharedByPoint::zeros();
+    let mut shared =
+        shared_free.then(|| SharedSums { information: SharedMatrix::zeros(), descent: SharedVector::zeros() });
     let mut sights = Vec::with_capacity(track.len());
     for sighting in track {
-        let Some(sight) = linearize(view, sighting, point, shared_free) else { continue };
+        let Some(sight) = linearize(view, sighting, point, &mut shared) else { continue };
         let turned = sight.information * sight.rotation.transpose();
         information += sight.rotation * turned;
         descent += sight.rotation * sight.descent;
-        if let Some(shared) = &sight.shared {
-            shared_by_point += shared.by_point * sight.rotation.transpose();
+        if shared_free {
+            shared_by_point += sight.shared_by_point * sight.rotation.transpose();
         }
         let coupling = twist_transposed(&sight.in_camera, &turned);
         sights.push((sight, coupling));
     }
     let damped = information + Matrix3::from_diagonal(&information.diagonal()) * damping;
     let inverse = well_conditioned_inverse(&damped)?;
-    Some(LinearTrack { sights, inverse, descent, shared_by_point })
+    Some(LinearTrack { sights, inverse, descent, shared_by_point, shared })
 }
 
 /// Inverse of a positive definite 3 x 3; `None` where its smallest eigenvalue is lost beside the greatest.
@@ -202,7 +216,7 @@ fn well_conditioned_inverse(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     if matrix.determinant() > 1e-13 * trace * trace * trace { matrix.try_inverse() } else { None }
 }
 
-fn add_track(system: &mut PoseSystem, track: &LinearTrack, shared_free: bool) {
+fn add_track(system: &mut PoseSystem, track: &LinearTrack) {
     let inverse = &track.inverse;
     let moved = inverse * track.descent;
     system.point_gain += 0.5 * track.descent.dot(&moved);
@@ -235,17 +249,15 @@ fn add_track(system: &mut PoseSystem, track: &LinearTrack, shared_free: bool) {
                 system.blocks[at] -= other_coupling * y.transpose();
             }
         }
-        if let (true, Some(shared)) = (shared_free, &sight.shared) {
+        if track.shared.is_some() {
             system.shared_by_pose[i] +=
-                twist_right(&sight.in_camera, &shared.by_point) - track.shared_by_point * y.transpose();
-            system.shared += shared.information;
-            system.shared_descent += shared.descent;
+                twist_right(&sight.in_camera, &sight.shared_by_point) - track.shared_by_point * y.transpose();
         }
     }
-    if shared_free {
+    if let Some(shared) = &track.shared {
         let y = track.shared_by_point * inverse;
-        system.shared -= y * track.shared_by_point.transpose();
-        system.shared_descent -= track.shared_by_point * moved;
+        system.shared += shared.information - y * track.shared_by_point.transpose();
+        system.shared_descent += shared.descent - track.shared_by_point * moved;
     }
 }
 
@@ -257,7 +269,9 @@ fn add_corner(
     shared_free: bool,
 ) {
     let point = base_from_board * corner.point_in_board;
-    let Some(sight) = linearize(view, &corner.sighting, &point, shared_free) else { return };
+    let mut shared =
+        shared_free.then(|| SharedSums { information: SharedMatrix::zeros(), descent: SharedVector::zeros() });
+    let Some(sight) = linearize(view, &corner.sighting, &point, &mut shared) else { return };
     let i = sight.posture;
     // d(point in camera) / d(camera twist) and / d(board twist).
     let by_camera = twist_right(&sight.in_camera, &Matrix3::identity());
@@ -272,9 +286,9 @@ fn add_corner(
     system.board += by_board.transpose() * m_board;
     system.board_descent += by_board.transpose() * sight.descent;
     system.board_by_pose[i] += by_board.transpose() * m_camera;
-    if let Some(shared) = &sight.shared {
-        system.shared_by_pose[i] += shared.by_point * by_camera;
-        system.shared_by_board += shared.by_point * by_board;
+    if let Some(shared) = &shared {
+        system.shared_by_pose[i] += sight.shared_by_point * by_camera;
+        system.shared_by_board += sight.shared_by_point * by_board;
         system.shared += shared.information;
         system.shared_descent += shared.descent;
     }
@@ -320,7 +334,7 @@ pub(crate) fn reduce(
         for track in from..to {
             if let Some(linear) = linearize_track(view, observations.track(track), &points[track], shared_free, damping)
             {
-                add_track(&mut system, &linear, shared_free);
+                add_track(&mut system, &linear);
             }
         }
         system

@@ -69,6 +69,8 @@ impl Default for BundleOptions {
     }
 }
 
+/// Sights that the descent looks at until it has settled; then all.
+const SAMPLE_SIGHTS: usize = 60_000;
 /// Matches that the pairwise start looks at.
 const START_MATCHES: usize = 20_000;
 /// Sigma of the deviations before the data are heard, rad (0.003 deg).
@@ -92,6 +94,30 @@ struct Adjusted {
     observations: Observations,
     sizes: Vec<ResidualSize>,
     termination: Termination,
+}
+
+/// Residuals of a fixed model.
+pub(crate) struct Evaluated {
+    pub sizes: Vec<ResidualSize>,
+    pub state: State,
+    /// What could be triangulated.
+    pub observations: Observations,
+}
+
+/// Residuals of two models on the same sights: points and the board are fitted to each model's cameras, nothing else moves.
+pub(crate) fn compare(
+    nominal: &Model,
+    calibrated: &Model,
+    motion: &Motion,
+    observations: &Observations,
+    noise: NoiseScales,
+) -> Result<(Evaluated, Evaluated), CalibrationError> {
+    let priors = Priors { sigmas: Vec::new() };
+    let options = BundleOptions::default();
+    let solve = Solve { nominal: &nominal.rig, motion, parameters: &[], priors: &priors, options: &options };
+    let after = solve.evaluate(calibrated, &[], observations, noise, None)?;
+    let before = solve.evaluate(nominal, &[], &after.observations, noise, Some(&after.state))?;
+    Ok((before, after))
 }
 
 /// Adjusts the free parameters, the scene points, the board's pose and the joint deviations together.
@@ -124,7 +150,23 @@ pub fn calibrate_bundle(
     let (start, pixel) = start(nominal, data, &all, &parameters)?;
     let noise = NoiseScales { pixel, depth: FIRST_DEPTH, deviation: first_deviation };
     let solve = Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options };
-    let mut adjusted = solve.adjust(&start, noise, joints, all)?;
+    let none = vec![0.0; joints * motion.len()];
+    let stride = all.sightings.len().div_ceil(SAMPLE_SIGHTS).max(1);
+    let mut adjusted = if stride > 1 {
+        // Most of the way on a sample, the last steps on everything.
+        let sample = solve.adjust(&start, none, noise, all.sampled(stride))?;
+        let mut rest = solve.adjust(&sample.state.model, sample.state.deviations, sample.noise, all)?;
+        rest.termination.add_effort(&sample.termination);
+        rest
+    } else {
+        solve.adjust(&start, none, noise, all)?
+    };
+    let again = |from: &Adjusted, observations: Observations| -> Result<Adjusted, CalibrationError> {
+        let deviations = from.state.deviations.clone();
+        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations)?;
+        next.termination.add_effort(&from.termination);
+        Ok(next)
+    };
     let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
     let mut suspects = suspects(&fits);
     if !suspects.is_empty() && options.leave_out_suspects {
@@ -132,16 +174,16 @@ pub fn calibrate_bundle(
             let keep = |posture: usize| !out.contains(&posture);
             Observations::new(nominal, data, &keep, &mut Vec::new())
         };
-        adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, without(&suspects)?)?;
+        adjusted = again(&adjusted, without(&suspects)?)?;
         // A wrong posture spoils those that share its tracks: each is heard again beside those that are right.
         let all_out = suspects.clone();
         let mut told = Vec::new();
         for &posture in &all_out {
             let others: Vec<usize> = all_out.iter().copied().filter(|other| *other != posture).collect();
             let beside = without(&others)?;
-            let sizes =
-                solve.evaluate(&adjusted.state.model, &adjusted.state.deviations, &beside, adjusted.noise, None)?;
-            let beside = posture_fits(&sizes, data.postures.len());
+            let Adjusted { state, noise, .. } = &adjusted;
+            let heard = solve.evaluate(&state.model, &state.deviations, &beside, *noise, None)?;
+            let beside = posture_fits(&heard.sizes, data.postures.len());
             if self::suspects(&beside).contains(&posture) {
                 told.push(beside[posture]);
             } else {
@@ -149,7 +191,7 @@ pub fn calibrate_bundle(
             }
         }
         if suspects.len() < all_out.len() {
-            adjusted = solve.adjust(&adjusted.state.model, adjusted.noise, joints, without(&suspects)?)?;
+            adjusted = again(&adjusted, without(&suspects)?)?;
         }
         fits = posture_fits(&adjusted.sizes, data.postures.len());
         suspects.iter().zip(told).for_each(|(&posture, fit)| fits[posture] = fit);
@@ -196,7 +238,7 @@ impl Solve<'_> {
         observations: &Observations,
         noise: NoiseScales,
         fallback: Option<&State>,
-    ) -> Result<Vec<ResidualSize>, CalibrationError> {
+    ) -> Result<Evaluated, CalibrationError> {
         let mut observations = observations.clone();
         let priors = Priors { sigmas: Vec::new() };
         let loss = Loss::Cauchy(20.0);
@@ -224,7 +266,8 @@ impl Solve<'_> {
             (true, Some(_)) => adjustment.descend(state, 50)?.state,
             _ => state,
         };
-        Ok(adjustment.residual_sizes(&state))
+        let sizes = adjustment.residual_sizes(&state);
+        Ok(Evaluated { sizes, state, observations })
     }
 
     fn estimates_deviations(&self) -> bool {
@@ -235,12 +278,12 @@ impl Solve<'_> {
     fn adjust(
         &self,
         start: &Model,
+        deviations: Vec<f64>,
         mut noise: NoiseScales,
-        joints: usize,
         mut observations: Observations,
     ) -> Result<Adjusted, CalibrationError> {
         let loss = self.options.loss;
-        let deviations = vec![0.0; joints * self.motion.len()];
+        let joints = deviations.len();
         let mut state = posed_state(start, deviations, self.motion, &observations, &noise, loss)?;
         let points = self.adjustment(&observations, noise, Loss::Cauchy(2.0)).triangulate(&state);
         observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
@@ -254,18 +297,10 @@ impl Solve<'_> {
             rounds += 1;
             let adjustment = self.adjustment(&observations, noise, loss);
             let descent = adjustment.descend(state, self.options.max_iterations)?;
-            if std::env::var("DBG").is_ok() {
-                eprintln!(
-                    "round {rounds} {noise:?} it {} {} cost {}->{}",
-                    descent.iterations, descent.reason, descent.initial_cost, descent.cost
-                );
-            }
             iterations += descent.iterations;
             evaluations += descent.evaluations;
             initial_cost.get_or_insert(descent.initial_cost);
             state = descent.state;
-            observations.weigh_by_estimated_depth(&state.points, &state.poses);
-            let adjustment = self.adjustment(&observations, noise, loss);
             sizes = adjustment.residual_sizes(&state);
             let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
             let mut next = rescaled(&sizes, &noise, 1.0 - unknown_count as f64 / freedom.max(1.0));
@@ -347,7 +382,7 @@ impl Solve<'_> {
             identifiability: Some(identifiability),
             epipolar_before: epipolar_statistics(&nominal_model, data)?,
             epipolar_after: epipolar_statistics(&state.model, data)?,
-            reprojection_before: Some(over_inliers(&before, &sizes)),
+            reprojection_before: Some(over_inliers(&before.sizes, &sizes)),
             reprojection_after: Some(noise::statistics(&sizes)),
             noise: Noise {
                 pixel: noise.pixel,

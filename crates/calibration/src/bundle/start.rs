@@ -12,7 +12,11 @@ use skclam_geometry::{Isometry3, Point3};
 /// Pairs of a track that are told as matches.
 const PAIRS_A_TRACK: usize = 6;
 
-/// Pair matches from tracks and board corners: of a track of k sights, up to six pairs, near ones and wide ones.
+/// Pairs that a posture keeps.
+const PAIRS_A_POSTURE: usize = 4;
+
+/// Pair matches from tracks and board corners: of a track of k sights, up to six pairs, near ones and wide ones; of a posture, the pairs with
+/// the most matches.
 pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches> {
     let mut by_pair: Vec<Vec<PairMatch>> = vec![Vec::new(); observations.postures * observations.postures];
     let mut tell = |track: &[Sighting]| {
@@ -36,10 +40,18 @@ pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches>
     };
     (0..observations.track_count()).for_each(|track| tell(observations.track(track)));
     observations.corner_tracks.iter().for_each(|(_, track)| tell(track));
+    let mut kept = vec![false; by_pair.len()];
+    for posture in 0..observations.postures {
+        let at = |other: usize| posture.min(other) * observations.postures + posture.max(other);
+        let mut others: Vec<usize> =
+            (0..observations.postures).filter(|other| !by_pair[at(*other)].is_empty()).collect();
+        others.sort_by(|a, b| by_pair[at(*b)].len().cmp(&by_pair[at(*a)].len()).then(a.cmp(b)));
+        others.iter().take(PAIRS_A_POSTURE).for_each(|&other| kept[at(other)] = true);
+    }
     by_pair
         .into_iter()
         .enumerate()
-        .filter(|(_, matches)| !matches.is_empty())
+        .filter(|(at, _)| kept[*at])
         .map(|(at, matches)| PairMatches { a: at / observations.postures, b: at % observations.postures, matches })
         .collect()
 }

@@ -16,7 +16,7 @@ pub(crate) struct Scales {
     pub loss: Loss,
     /// Sigma of a whitened pixel coordinate.
     pub pixel: f64,
-    /// `s` of `sigma = s z^2`.
+    /// `s` of `sigma = s z^2`: the sigma of an inverse depth.
     pub depth: f64,
 }
 
@@ -44,12 +44,16 @@ impl View<'_> {
         loss.rho(u) + depth
     }
 
-    /// What was measured less what a point at `z` should have given, in sigmas, and by how much it falls a metre of z. It is taken in the sensor's own
-    /// reading: a residual in corrected metres would shrink with the depth's scale, and the world with it.
+    /// How much farther the sensor saw a point than it should have at `z`, in sigmas, and by how much that falls a metre of z.
+    ///
+    /// It is taken in *inverse* depth of the sensor's own reading, where the noise `s z^2` of a depth is the constant `s`: weights made of
+    /// noisy depths would count near readings more than far ones and shrink the world, and a residual in corrected metres would shrink with the
+    /// depth's scale. The mean of the reciprocal of a reading with normal noise, `1/z + s^2 z`, is allowed for.
     pub(crate) fn depth_residual(&self, sighting: &Sighting, z: f64) -> (f64, f64) {
-        let inverse = 1.0 / (self.scales.depth * sighting.depth_unit);
-        let expected = (z - self.depth.offset_m) / self.depth.scale;
-        ((sighting.depth_m - expected) * inverse, inverse / self.depth.scale)
+        let s = self.scales.depth;
+        let expected = ((z - self.depth.offset_m) / self.depth.scale).max(NEAREST_M);
+        let measured = 1.0 / sighting.depth_m - s * s * sighting.depth_m;
+        ((1.0 / expected - measured) / s, 1.0 / (expected * expected * self.depth.scale * s))
     }
 
     /// A point for a track; `None` where the rays do not meet in front of the cameras, or at too small an angle.
@@ -138,6 +142,9 @@ impl View<'_> {
         point
     }
 }
+
+/// No sensor reads less, m.
+const NEAREST_M: f64 = 1e-3;
 
 /// Residual, in sigmas, of what lies behind the camera.
 pub(crate) const BEHIND: f64 = 1e3;
