@@ -1,5 +1,8 @@
 //! What can be asked for on the command line.
 
+use crate::commands::compensate::CompensateArgs;
+use crate::commands::export::ExportArgs;
+use crate::commands::import::ImportArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use std::path::PathBuf;
 
@@ -57,6 +60,24 @@ pub enum Command {
                             Writes report.md and report.json, and the maps."
     )]
     Reproduce(ReproduceArgs),
+    /// Make a data set of a recording: ROS 1 and 2 bags, MCAP, RealSense Viewer, TUM RGB-D.
+    #[command(
+        after_help = "Examples:\n  skclam import capture.mcap --robot ur5e --out cell/\n  skclam import capture.bag --rig rig.toml --out cell/ --moving --every 15\n\n\
+                            A posture is taken where the arm stands still: the sharpest image of each stand, with its depth image.\n\
+                            Writes rig.toml, postures.csv, color/ and depth/, whole or not at all."
+    )]
+    Import(ImportArgs),
+    /// Turn target poses or joints into the ones to command, for controllers that accept no parameters.
+    #[command(
+        after_help = "Example:\n  skclam compensate targets.csv --nominal cell/rig.toml --calibrated result/rig.toml --out commands.csv\n\n\
+                            Joints in the result go to a controller that takes joints, poses to one that takes poses: not both corrections at once."
+    )]
+    Compensate(CompensateArgs),
+    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON.
+    #[command(
+        after_help = "Example:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/"
+    )]
+    Export(ExportArgs),
     /// Print a completion script for a shell.
     #[command(after_help = "Example:\n  skclam completions bash > ~/.local/share/bash-completion/completions/skclam")]
     Completions {

@@ -33,6 +33,9 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Simulate(args) => commands::simulate::simulate(cli, args),
         Command::Render(args) => commands::render::render(cli, args),
         Command::Reproduce(args) => commands::reproduce::reproduce(cli, args),
+        Command::Compensate(args) => commands::compensate::compensate(cli, args),
+        Command::Export(args) => commands::export::export(cli, args),
+        Command::Import(args) => commands::import::import(cli, args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());
             Ok(())

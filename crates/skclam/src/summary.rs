@@ -1,6 +1,6 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
-use crate::pipeline::{Config, MatchedPair, SurfaceAgreement};
+use crate::pipeline::{CameraFixedSummary, Config, MatchedPair, SurfaceAgreement, TrackSummary};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
     Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit,
@@ -26,6 +26,10 @@ pub struct Summary {
     pub pairs: Vec<PairSummary>,
     /// Keypoints of each image.
     pub keypoints: Vec<usize>,
+    /// What moves with the camera; `null` where it was not looked for.
+    pub camera_fixed: Option<CameraFixedSummary>,
+    /// How tracks were built; `null` for pairs alone.
+    pub tracks: Option<TrackSummary>,
     /// Residuals and parameters.
     pub calibration: CalibrationSummary,
     /// The map; `null` without depth.

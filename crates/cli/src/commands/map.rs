@@ -21,7 +21,7 @@ pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
     let screen = Screen::new(cli.quiet);
     let trajectory = pipeline::localize(&dataset, &dataset.rig)?;
     let poses: Vec<_> = trajectory.iter().map(|stamped| stamped.base_from_camera).collect();
-    let Some([cloud]) = pipeline::build_maps(&dataset, [&poses], &dataset.rig, &config, &screen)? else {
+    let Some([cloud]) = pipeline::build_maps(&dataset, [&poses], &dataset.rig, None, &config, &screen)? else {
         bail!("{}: there are no depth images, so there is nothing to build a map from", args.dataset.display());
     };
     pipeline::write_cloud(&staged, "map.ply", &cloud)?;

@@ -162,6 +162,13 @@ pub fn show(summary: &Summary) {
         counts.tracks,
         counts.observations
     );
+    if let Some(found) = summary.camera_fixed.filter(|found| found.dropped_keypoints > 0) {
+        println!(
+            "{:.0} % of the image moves with the camera and was masked ({} keypoints); see mask.png",
+            found.masked_share * 100.0,
+            found.dropped_keypoints
+        );
+    }
     println!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
     if let Some(rank) = calibration.rank {
         println!("{rank} of {} free parameters are seen by the data", calibration.free);

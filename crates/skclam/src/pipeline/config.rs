@@ -2,8 +2,8 @@
 
 use super::{Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Free, NelderMeadOptions, PairwiseOptions};
-use skclam_features::{AkazeOptions, FilterOptions, RansacOptions};
+use skclam_calibration::{BundleOptions, Free, NelderMeadOptions, PairwiseOptions};
+use skclam_features::{AkazeOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions};
 use skclam_geometry::PinholeCamera;
 use skclam_mapping::CloudOptions;
 
@@ -15,6 +15,8 @@ pub enum Estimator {
     NelderMead,
     /// Robust least squares on Sampson distances of pairs.
     Sampson,
+    /// Bundle adjustment over tracks.
+    Bundle,
 }
 
 /// The settings of a run.
@@ -35,12 +37,20 @@ pub struct Config {
     pub gate_deg: Option<f64>,
     /// The filters of section 3.2; the gate's pixels follow from `gate_deg`.
     pub filter: FilterOptions,
+    /// Looks for what moves with the camera (gripper, cable) and leaves it out; `None`: not.
+    pub mask: Option<MaskOptions>,
+    /// Joins matches to tracks over many images; `None`: pairs alone.
+    pub tracks: Option<TrackOptions>,
+    /// Aligns the patches of a track's sightings to a few hundredths of a pixel; `None`: positions as detected.
+    pub refine: Option<RefineOptions>,
     /// Which estimator.
     pub estimator: Estimator,
     /// Settings of Nelder-Mead; `free` above comes first.
     pub nelder_mead: NelderMeadOptions,
     /// Settings of the pairwise least squares; `free` above comes first.
     pub pairwise: PairwiseOptions,
+    /// Settings of the bundle adjustment; `free` above comes first.
+    pub bundle: BundleOptions,
     /// Edge of the map's voxels, metres; `None`: what the depth camera resolves at the range at which it was used.
     pub voxel_m: Option<f64>,
     /// The map; `voxel_m` above comes first.
@@ -57,9 +67,13 @@ impl Default for Config {
             search: Search::Guided,
             gate_deg: Some(7.3),
             filter: FilterOptions::default(),
-            estimator: Estimator::Sampson,
+            mask: Some(MaskOptions::default()),
+            tracks: Some(TrackOptions::default()),
+            refine: Some(RefineOptions::default()),
+            estimator: Estimator::Bundle,
             nelder_mead: NelderMeadOptions::default(),
             pairwise: PairwiseOptions::default(),
+            bundle: BundleOptions::default(),
             voxel_m: None,
             cloud: CloudOptions::default(),
         }
@@ -78,6 +92,9 @@ impl Config {
                 ransac: Some(RansacOptions { threshold_px: 0.5, ..RansacOptions::default() }),
                 ..FilterOptions::paper()
             },
+            mask: None,
+            tracks: None,
+            refine: None,
             estimator: Estimator::NelderMead,
             ..Config::default()
         }

@@ -85,3 +85,21 @@ fn one_image(
     };
     Ok(ImageFeatures { features, undistorted, depth_m, gray: keep_gray.then_some(gray), view })
 }
+
+impl ImageFeatures {
+    /// Keeps the keypoints whose pixel (distortion included) the predicate accepts; how many were dropped.
+    pub fn retain(&mut self, keep: impl Fn(&Pixel) -> bool) -> usize {
+        let accepted: Vec<bool> =
+            self.features.keypoints.iter().map(|k| keep(&Pixel::new(f64::from(k.x), f64::from(k.y)))).collect();
+        retain_marked(&mut self.features.keypoints, &accepted);
+        retain_marked(&mut self.features.descriptors, &accepted);
+        retain_marked(&mut self.undistorted, &accepted);
+        retain_marked(&mut self.depth_m, &accepted);
+        accepted.iter().filter(|accepted| !**accepted).count()
+    }
+}
+
+fn retain_marked<T>(list: &mut Vec<T>, accepted: &[bool]) {
+    let mut marks = accepted.iter();
+    list.retain(|_| *marks.next().unwrap_or(&true));
+}

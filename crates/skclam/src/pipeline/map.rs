@@ -4,6 +4,7 @@ use super::{Config, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use crate::trajectory::StampedPose;
+use image::GrayImage;
 use rayon::prelude::*;
 use skclam_geometry::{DepthCamera, Isometry3};
 use skclam_mapping::{CloudBuilder, CloudOptions, PointCloud, TsdfOptions, View};
@@ -29,6 +30,7 @@ pub fn build_maps<const N: usize>(
     dataset: &Dataset,
     poses: [&[Isometry3]; N],
     rig: &Rig,
+    found_mask: Option<&GrayImage>,
     config: &Config,
     progress: &dyn Progress,
 ) -> Result<Option<[PointCloud; N]>, RunError> {
@@ -40,7 +42,7 @@ pub fn build_maps<const N: usize>(
     let mut clouds = Vec::with_capacity(N);
     for poses in poses {
         let mut builder = CloudBuilder::new(options)?;
-        for_each_view(dataset, poses, rig, progress, |view| Ok(builder.add(view).map(drop)?))?;
+        for_each_view(dataset, poses, rig, found_mask, progress, |view| Ok(builder.add(view).map(drop)?))?;
         clouds.push(builder.finish());
     }
     Ok(clouds.try_into().ok())
@@ -50,10 +52,12 @@ pub fn build_maps<const N: usize>(
 const DECODED_TOGETHER: usize = 8;
 
 /// Hands out every depth image with its colour image at its pose, in the order of the recording; one step of progress each.
+/// `found_mask` (0 where the colour camera sees what moves with it) serves where the rig brings no mask.
 pub fn for_each_view(
     dataset: &Dataset,
     poses: &[Isometry3],
     rig: &Rig,
+    found_mask: Option<&GrayImage>,
     progress: &dyn Progress,
     mut take: impl FnMut(&View<'_>) -> Result<(), RunError>,
 ) -> Result<(), RunError> {
@@ -80,7 +84,7 @@ pub fn for_each_view(
                     color_camera: &rig.color,
                     base_from_color: poses[index],
                     depth_mask: depth_mask.as_ref(),
-                    color_mask: color_mask.as_ref(),
+                    color_mask: color_mask.as_ref().or(found_mask),
                 })?;
             }
             progress.step();

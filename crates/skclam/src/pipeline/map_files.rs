@@ -69,7 +69,7 @@ pub fn write_map_files(
     if wants(&[MapFile::Mesh, MapFile::Obj, MapFile::Glb, MapFile::Stl, MapFile::Pcd]) {
         progress.begin(Stage::Map, dataset.len() as u64);
         let mut tsdf = Tsdf::new(TsdfOptions { voxel_m, filter: config.cloud.filter, ..TsdfOptions::default() })?;
-        for_each_view(dataset, poses, rig, progress, |view| Ok(tsdf.integrate(view).map(drop)?))?;
+        for_each_view(dataset, poses, rig, None, progress, |view| Ok(tsdf.integrate(view).map(drop)?))?;
         let mesh = tsdf.surface(&SurfaceOptions::default())?;
         drop(tsdf);
         summary.triangles = Some(mesh.triangles.len());
@@ -79,7 +79,7 @@ pub fn write_map_files(
         progress.begin(Stage::Map, dataset.len() as u64);
         let mut grid =
             OccupancyGrid::new(OccupancyOptions { filter: config.cloud.filter, ..OccupancyOptions::default() })?;
-        for_each_view(dataset, poses, rig, progress, |view| Ok(grid.add(view)?))?;
+        for_each_view(dataset, poses, rig, None, progress, |view| Ok(grid.add(view)?))?;
         let (free, occupied) = grid.counts();
         summary.free_and_occupied_cells = Some([free, occupied]);
         if files.contains(&MapFile::Octomap) {

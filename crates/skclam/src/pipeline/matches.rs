@@ -31,16 +31,21 @@ pub struct MatchedPair {
     pub counts: MatchCounts,
 }
 
-/// Chooses pairs and matches them.
+/// Chooses the pairs by what the nominal rig predicts.
+pub fn pairs_to_match(images: &[ImageFeatures], camera: &PinholeCamera, config: &Config) -> Vec<ImagePair> {
+    let views: Vec<PredictedView> = images.iter().map(|image| image.view.clone()).collect();
+    choose_pairs(&views, camera, &config.pairing)
+}
+
+/// Matches pairs of images.
 pub fn match_pairs(
     dataset: &Dataset,
     images: &[ImageFeatures],
+    pairs: Vec<ImagePair>,
     config: &Config,
     progress: &dyn Progress,
 ) -> Result<Vec<MatchedPair>, RunError> {
     let camera = &dataset.rig.color;
-    let views: Vec<PredictedView> = images.iter().map(|image| image.view.clone()).collect();
-    let pairs = choose_pairs(&views, camera, &config.pairing);
     progress.begin(Stage::MatchPairs, pairs.len() as u64);
     pairs
         .into_par_iter()

@@ -2,6 +2,7 @@
 
 mod agreement;
 mod calibrate;
+mod camera_fixed;
 mod config;
 mod error;
 mod features;
@@ -11,15 +12,18 @@ mod matches;
 mod pairing;
 mod registered_depth;
 mod run;
+mod sightings;
 
 pub use agreement::{SurfaceAgreement, surface_agreement};
-pub use calibrate::{calibrate, correspondences};
+pub use calibrate::calibrate;
+pub use camera_fixed::{CameraFixedSummary, drop_camera_fixed};
 pub use config::{Config, Estimator};
 pub use error::RunError;
 pub use features::{ImageFeatures, extract_features};
 pub use map::{build_maps, for_each_view, localize, voxel_m};
 pub use map_files::{MapFile, MapFilesSummary, write_map_files};
-pub use matches::{MatchedPair, Search, match_pairs};
+pub use matches::{MatchedPair, Search, match_pairs, pairs_to_match};
 pub use pairing::{ImagePair, Pairing, PairingOptions, PredictedView, choose_pairs};
 pub use registered_depth::RegisteredDepth;
 pub use run::{Maps, Outcome, run, run_without_map, write_cloud};
+pub use sightings::{TrackSummary, correspondences};

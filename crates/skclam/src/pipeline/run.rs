@@ -1,15 +1,17 @@
 //! The run itself, and its results as files.
 
 use super::{
-    Config, RunError, build_maps, calibrate, correspondences, extract_features, localize, match_pairs,
-    surface_agreement,
+    Config, RunError, build_maps, calibrate, correspondences, drop_camera_fixed, extract_features, localize,
+    match_pairs, pairs_to_match, surface_agreement,
 };
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
 use crate::progress::Progress;
 use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
 use crate::trajectory::{StampedPose, trajectory_text};
+use image::GrayImage;
 use skclam_calibration::{Calibration, Warning};
+use skclam_features::MaskOutcome;
 use skclam_geometry::Isometry3;
 use skclam_mapping::{Model, PointCloud, write_ply};
 use skclam_rig::Rig;
@@ -34,6 +36,8 @@ pub struct Outcome {
     pub rig: Rig,
     /// Where the camera was, by the calibrated rig.
     pub trajectory: Vec<StampedPose>,
+    /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of its own.
+    pub mask: Option<GrayImage>,
     /// `None` without depth, or where no map was asked for.
     pub maps: Option<Maps>,
     /// Every figure.
@@ -48,7 +52,14 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
         trajectory.iter().map(|stamped| stamped.base_from_camera).collect::<Vec<Isometry3>>()
     };
     let (calibrated_poses, nominal_poses) = (poses(&outcome.trajectory), poses(&nominal));
-    let maps = build_maps(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig, config, progress)?;
+    let maps = build_maps(
+        dataset,
+        [&calibrated_poses, &nominal_poses],
+        &outcome.rig,
+        outcome.mask.as_ref(),
+        config,
+        progress,
+    )?;
     outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
     if let Some(maps) = &outcome.maps {
         let [agreement_calibrated, agreement_nominal] =
@@ -73,9 +84,15 @@ const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let images = extract_features(dataset, config, progress)?;
-    let pairs = match_pairs(dataset, &images, config, progress)?;
-    let data = correspondences(dataset, &images, &pairs);
+    let mut images = extract_features(dataset, config, progress)?;
+    let chosen = pairs_to_match(&images, &dataset.rig.color, config);
+    let camera_fixed = match dataset.rig.color_mask {
+        // The user's word comes before what can be found.
+        Some(_) => None,
+        None => drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?,
+    };
+    let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
+    let (data, tracks, mut told) = correspondences(dataset, &images, &pairs, config, progress)?;
     if data.match_count() == 0 {
         let total = total_counts(&pairs);
         return Err(RunError::NoMatches {
@@ -89,6 +106,10 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
     let calibration = calibrate(dataset, &data, config, progress)?;
     let rig = calibration.model.corrected_rig();
     let trajectory = localize(dataset, &rig)?;
+    let (mask, camera_fixed) = match camera_fixed {
+        Some((found, summary)) => ((summary.outcome == MaskOutcome::Found).then_some(found.mask), Some(summary)),
+        None => (None, None),
+    };
     let posture_index = |position: usize| dataset.records[position].posture.index;
     let summary = Summary {
         program: "skclam".to_owned(),
@@ -114,14 +135,19 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
             })
             .collect(),
         keypoints: images.iter().map(|image| image.features.keypoints.len()).collect(),
+        camera_fixed,
+        tracks,
         calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),
         map: None,
-        warnings: warnings(&calibration, pairs.len()),
+        warnings: {
+            told.extend(warnings(&calibration, pairs.len()));
+            told
+        },
         configuration: config.clone(),
         stages: Vec::new(),
         peak_memory_mib: None,
     };
-    Ok(Outcome { calibration, rig, trajectory, maps: None, summary })
+    Ok(Outcome { calibration, rig, trajectory, mask, maps: None, summary })
 }
 
 /// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
@@ -169,6 +195,10 @@ impl Outcome {
     pub fn write(&self, staged: &StagedFolder) -> Result<(), RunError> {
         staged.write("rig.toml", self.rig.to_toml()?)?;
         staged.write("trajectory.txt", trajectory_text(&self.trajectory))?;
+        if let Some(mask) = &self.mask {
+            let path = staged.path("mask.png")?;
+            mask.save(&path).map_err(|error| DatasetError::Image { path, problem: error.to_string() })?;
+        }
         if let Some(maps) = &self.maps {
             write_cloud(staged, "map.ply", &maps.calibrated)?;
             write_cloud(staged, "map_nominal.ply", &maps.nominal)?;
@@ -183,7 +213,7 @@ impl Outcome {
 /// Writes a cloud as binary PLY into a folder that is not yet published.
 pub fn write_cloud(staged: &StagedFolder, name: &str, cloud: &PointCloud) -> Result<(), RunError> {
     let path = staged.path(name)?;
-    let io = |source| crate::dataset::DatasetError::Io { path: path.clone(), source };
+    let io = |source| DatasetError::Io { path: path.clone(), source };
     let mut writer = BufWriter::new(File::create(&path).map_err(io)?);
     write_ply(&Model::Cloud(cloud.clone()), &mut writer)?;
     writer.flush().map_err(io)?;

@@ -1,0 +1,148 @@
+//! `skclam import`.
+
+use crate::args::Cli;
+use crate::commands::simulate::rig as builtin_or_file;
+use crate::progress::Screen;
+use crate::screen;
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueHint};
+use skclam::import::{CameraSource, DepthChoice, ImportOptions, import_recording, read_joint_log};
+use skclam::output::StagedFolder;
+use skclam::recordings::{Recording, Selection, SelectionOptions};
+use skclam::rig::Rig;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `import`.
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// A ROS 1 .bag, a ROS 2 .mcap or .db3 or the folder that holds them, a RealSense Viewer .bag, a TUM RGB-D folder.
+    #[arg(value_hint = ValueHint::AnyPath)]
+    pub recording: PathBuf,
+    /// Folder for the data set; made if it is not there.
+    #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub out: PathBuf,
+    /// Rig file with the arm and the mount; its cameras stand where the recording has no CameraInfo.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot", required_unless_present = "robot")]
+    pub rig: Option<PathBuf>,
+    /// A built-in robot by name (ur5e, franka-fr3, ...): its mount is a guess that you should replace.
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
+    /// Topic of the colour images; by default the only one.
+    #[arg(long, value_name = "TOPIC")]
+    pub color_topic: Option<String>,
+    /// Topic of the depth images; by default the only one. "none" leaves depth out.
+    #[arg(long, value_name = "TOPIC")]
+    pub depth_topic: Option<String>,
+    /// Topic of the joint states; by default the only one that has the arm's joints.
+    #[arg(long, value_name = "TOPIC")]
+    pub joint_topic: Option<String>,
+    /// The recording's names of the joints from base to flange, where they are not those of the rig.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub joint_names: Option<Vec<String>>,
+    /// Joints that were recorded apart: CSV with timestamp_s and q1_deg (or q1_rad, q1_mm) ...
+    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath, conflicts_with = "joint_topic")]
+    pub joints: Option<PathBuf>,
+    /// What is to be added to the times of --joints to get those of the images, seconds.
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, requires = "joints")]
+    pub joint_offset_s: f64,
+    /// Keep the intrinsics of --rig even where the recording has its own.
+    #[arg(long)]
+    pub rig_cameras: bool,
+    /// Take images of the moving arm, with interpolated joints; without it, one image each time that the arm stands still.
+    #[arg(long)]
+    pub moving: bool,
+    /// With --moving: every N-th image.
+    #[arg(long, value_name = "N", default_value_t = 10, requires = "moving", value_parser = clap::value_parser!(u32).range(1..))]
+    pub every: u32,
+    /// Take every image that has joints beside it: for recordings that were made posture by posture.
+    #[arg(long, conflicts_with = "moving")]
+    pub snapshots: bool,
+    /// The arm stands still while every joint is slower than this, deg/s (mm/s for sliding joints: 17 times the number).
+    #[arg(long, value_name = "DEG_PER_S", default_value_t = 0.3)]
+    pub still_below: f64,
+    /// ... for at least so long, seconds.
+    #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().min_stand_s)]
+    pub still_for: f64,
+    /// Images within so many seconds after a stop are not used.
+    #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().settle_s)]
+    pub settle: f64,
+}
+
+/// Makes a data set of a recording.
+pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
+    let rig = match (&args.rig, &args.robot) {
+        (Some(path), _) => Rig::read(path)?,
+        (None, Some(name)) => builtin_or_file(name)?,
+        (None, None) => bail!("name the arm with --rig or --robot"),
+    };
+    let joint_log = match (&args.joints, &rig.robot) {
+        (Some(path), Some(robot)) => Some(read_joint_log(path, robot, args.joint_offset_s)?),
+        (Some(_), None) => bail!("--joints: the rig has no [robot]"),
+        (None, _) => None,
+    };
+    let staged = StagedFolder::new(&args.out)?;
+    let screen = Screen::new(cli.quiet);
+    let mut recording = Recording::open(&args.recording)?;
+    let summary = import_recording(&mut recording, &rig, joint_log, &options(args), &staged, &screen)?;
+    if let Some(path) = &args.rig {
+        copy_masks(&rig, path, &staged)?;
+    }
+    let folder = staged.publish()?;
+    screen.finish();
+    if cli.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+        return Ok(());
+    }
+    let mut warnings = summary.warnings.clone();
+    if args.robot.is_some() {
+        warnings.push("the mount is that of the built-in robot, a guess: put yours into rig.toml".to_owned());
+    }
+    screen::warn(cli.quiet, &warnings);
+    let depth = summary.depth_topic.as_deref().unwrap_or("none");
+    println!("Colour: {} ({} images)\nDepth:  {depth}", summary.color_topic, summary.color_images);
+    println!("Joints: {}", summary.joint_topic);
+    let lacking = match summary.without_depth {
+        0 => String::new(),
+        count => format!(", {count} without depth"),
+    };
+    println!("{} postures{lacking}\nData set: {}", summary.postures, folder.display());
+    println!("Look at it before you calibrate: skclam inspect {}", folder.display());
+    Ok(())
+}
+
+fn options(args: &ImportArgs) -> ImportOptions {
+    let selection = match (args.moving, args.snapshots) {
+        (true, _) => Selection::Moving { every: args.every },
+        (false, true) => Selection::Snapshots,
+        (false, false) => Selection::Automatic,
+    };
+    ImportOptions {
+        color_topic: args.color_topic.clone(),
+        depth: match args.depth_topic.as_deref() {
+            None => DepthChoice::Automatic,
+            Some("none") => DepthChoice::None,
+            Some(topic) => DepthChoice::Topic(topic.to_owned()),
+        },
+        joint_topic: args.joint_topic.clone(),
+        joint_names: args.joint_names.clone(),
+        cameras: if args.rig_cameras { CameraSource::Rig } else { CameraSource::Recording },
+        selection: SelectionOptions {
+            selection,
+            max_joint_speed: args.still_below.to_radians(),
+            min_stand_s: args.still_for,
+            settle_s: args.settle,
+            ..SelectionOptions::default()
+        },
+    }
+}
+
+/// The masks that a rig names lie beside it, and are to lie beside the new one.
+fn copy_masks(rig: &Rig, path: &Path, staged: &StagedFolder) -> Result<()> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    for name in [&rig.color_mask, &rig.depth_mask].into_iter().flatten() {
+        let mask = folder.join(name);
+        let bytes = std::fs::read(&mask).with_context(|| format!("the mask {}", mask.display()))?;
+        staged.write(name, bytes)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,73 @@
+//! What moves with the camera, found by the program: its keypoints are left out of everything that follows.
+
+use super::{Config, ImageFeatures, ImagePair, RunError};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use skclam_features::{CameraFixed, MaskOutcome, MatchedPair, find_camera_fixed, match_descriptors};
+use skclam_geometry::{PinholeCamera, Pixel};
+
+/// What was found, for the summary.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CameraFixedSummary {
+    /// How the search ended.
+    pub outcome: MaskOutcome,
+    /// Pairs of images that were looked at.
+    pub pairs: usize,
+    /// Share of the image that moves with the camera.
+    pub masked_share: f64,
+    /// Keypoints that were left out.
+    pub dropped_keypoints: usize,
+}
+
+/// Pairs that are looked at: enough for several votes everywhere, and few enough to cost next to nothing.
+const PAIRS: usize = 24;
+
+/// Finds what moves with the camera and takes its keypoints out of `images`. `None` where it was not asked for, or where the
+/// rig brings a mask of its own.
+pub fn drop_camera_fixed(
+    images: &mut [ImageFeatures],
+    pairs: &[ImagePair],
+    camera: &PinholeCamera,
+    config: &Config,
+) -> Result<Option<(CameraFixed, CameraFixedSummary)>, RunError> {
+    let Some(options) = &config.mask else { return Ok(None) };
+    let chosen: Vec<&ImagePair> = pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).collect();
+    let positions: Vec<Vec<Pixel>> = images
+        .iter()
+        .map(|image| image.features.keypoints.iter().map(|k| Pixel::new(f64::from(k.x), f64::from(k.y))).collect())
+        .collect();
+    // Without the gate: it would drop just what is looked for.
+    let matchings = chosen
+        .par_iter()
+        .map(|pair| {
+            let descriptors = |index: usize| &images[index].features.descriptors;
+            match_descriptors(descriptors(pair.a), descriptors(pair.b), &config.filter.matching)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let votes: Vec<MatchedPair<'_>> = chosen
+        .iter()
+        .zip(&matchings)
+        .map(|(pair, matching)| MatchedPair {
+            positions_a: &positions[pair.a],
+            positions_b: &positions[pair.b],
+            matches: &matching.matches,
+        })
+        .collect();
+    let found = find_camera_fixed(camera.width, camera.height, &votes, options)?;
+    let mut dropped_keypoints = 0;
+    if found.outcome == MaskOutcome::Found {
+        for image in images {
+            dropped_keypoints += image.retain(|pixel| {
+                let (x, y) = (pixel.x.round().max(0.0) as u32, pixel.y.round().max(0.0) as u32);
+                found.mask.get_pixel_checked(x, y).is_some_and(|value| value.0[0] != 0)
+            });
+        }
+    }
+    let summary = CameraFixedSummary {
+        outcome: found.outcome,
+        pairs: found.pairs,
+        masked_share: if found.outcome == MaskOutcome::Found { found.masked_share } else { 0.0 },
+        dropped_keypoints,
+    };
+    Ok(Some((found, summary)))
+}
