@@ -2,7 +2,7 @@
 //!
 //! Reads two files of raw descriptors (64 bytes each) and prints the time of each repetition in milliseconds: of
 //! exhaustive matching, and of guided matching along the epipolar lines of a camera that moves to the side and turns,
-//! keypoints spread over 1920 x 1080, half widths of the band 5, 10 and 50 px. Threads: `RAYON_NUM_THREADS`.
+//! keypoints spread over 1920 x 1080, half widths of the band 2, 5, 10 and 50 px. Threads: `RAYON_NUM_THREADS`.
 
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let inverse = Matrix3::new(1e-3, 0.0, -0.96, 0.0, 1e-3, -0.54, 0.0, 0.0, 1.0);
     let turn = Rotation3::new(Vector3::new(0.02, -0.1, 0.15));
     let fundamental = inverse.transpose() * Vector3::new(0.2, 0.05, 0.03).cross_matrix() * turn.matrix() * inverse;
-    for half_width in [5.0, 10.0, 50.0] {
+    for half_width in [2.0, 5.0, 10.0, 50.0] {
         let options = FilterOptions {
             matching: matching.clone(),
             gate_px: Some(half_width),

@@ -17,9 +17,9 @@ use crate::filter::{DescribedPoints, FilterOptions, FilteredMatches, Gate, GateO
 use crate::filter::{match_and_filter, select_and_verify};
 use crate::{Descriptor, FeaturesError, Match, MatchCounts};
 use multiversion::multiversion;
-use nalgebra::{Matrix3, Point2, Vector3};
+use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 use rayon::prelude::*;
-use strips::{Across, Stored, Strips};
+use strips::{Across, Stored, Strips, TOGETHER};
 
 /// What is known about where the keypoints of image A are in image B.
 #[derive(Debug, Clone, Copy, Default)]
@@ -146,13 +146,16 @@ fn nearest_admitted(
         rayon::join(|| sort(level, suited.contains(&true)), || sort(level.turned(), suited.contains(&false)));
     let (level, upright) = (level?, upright?);
 
-    let band_rows = BAND_ROWS.max(a.positions.len().div_ceil(MAX_BANDS));
-    let bands: Vec<NearestAdmitted> = (0..a.positions.len().div_ceil(band_rows))
-        .into_par_iter()
-        .map(|band| {
-            let rows = band * band_rows..((band + 1) * band_rows).min(a.positions.len());
+    // Neighbouring lines one after the other: what they meet of B stays in the cache. The result does not depend on it.
+    let order = by_line(&lines, b.positions);
+    let band_rows = BAND_ROWS.max(order.len().div_ceil(MAX_BANDS));
+    let bands: Vec<NearestAdmitted> = order
+        .par_chunks(band_rows)
+        .map(|rows| {
             let mut of_b = vec![NO_KEY; b.positions.len()];
-            let of_a = rows.map(|index| {
+            let mut held = [0; HELD + 2];
+            let of_a = rows.iter().map(|&index| {
+                let index = index as usize;
                 let Some(strips) = (if suited[index] { &level } else { &upright }) else { return [NO_KEY; 2] };
                 let expected = points.and_then(|points| points.in_b[index].map(|point| (point, points.radius_px)));
                 if gate.is_none() && expected.is_none() {
@@ -165,19 +168,35 @@ fn nearest_admitted(
                     line: lines[index],
                     half_width_px: gate.map_or(f64::INFINITY, Gate::half_width_px),
                     expected,
+                    near: expected.map_or(Point2::origin(), |(point, _)| point),
+                    radius_squared: expected.map_or(f64::INFINITY, |(_, radius)| radius * radius),
                 };
-                search(&row, strips, &mut of_b)
+                search(&row, strips, &mut held, &mut of_b)
             });
             (of_a.collect(), of_b)
         })
         .collect();
-    let mut of_a = Vec::with_capacity(a.positions.len());
+    let mut of_a = vec![[NO_KEY; 2]; a.positions.len()];
     let mut of_b = vec![NO_KEY; b.positions.len()];
-    for (rows, columns) in bands {
-        of_a.extend(rows);
+    for ((rows, columns), indices) in bands.into_iter().zip(order.chunks(band_rows)) {
+        for (row, &index) in rows.into_iter().zip(indices) {
+            of_a[index as usize] = row;
+        }
         of_b.iter_mut().zip(columns).for_each(|(best, column)| *best = (*best).min(column));
     }
     Ok((of_a, of_b))
+}
+
+/// Indices of lines, sorted by how far and to which side they pass the middle of image B.
+fn by_line(lines: &[Vector3<f64>], positions_b: &[Point2<f64>]) -> Vec<u32> {
+    let middle = positions_b.iter().fold(Vector2::zeros(), |sum, p| sum + p.coords) / positions_b.len() as f64;
+    let offset = |line: &Vector3<f64>| {
+        let side = if line.y.abs() >= line.x.abs() { line.y } else { line.x };
+        (line.x * middle.x + line.y * middle.y + line.z) * side.signum()
+    };
+    let mut order: Vec<(f64, u32)> = lines.iter().map(offset).zip(0..).collect();
+    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    order.into_iter().map(|(_, index)| index).collect()
 }
 
 /// A keypoint of image A and where its match may be.
@@ -188,6 +207,9 @@ struct Row<'a> {
     line: Vector3<f64>,
     half_width_px: f64,
     expected: Option<(Point2<f64>, f64)>,
+    /// The same, infinitely wide if there is none.
+    near: Point2<f64>,
+    radius_squared: f64,
 }
 
 impl Row<'_> {
@@ -196,43 +218,60 @@ impl Row<'_> {
         let off = |line: &Vector3<f64>, point: &Point2<f64>| (line.x * point.x + line.y * point.y + line.z).abs();
         (off(&self.line, &other.at) <= self.half_width_px)
             & (off(&other.line, &self.in_a) <= self.half_width_px)
-            & self.expected.is_none_or(|(point, radius)| (other.at - point).norm_squared() <= radius * radius)
+            & ((other.at - self.near).norm_squared() <= self.radius_squared)
     }
 }
 
-/// Keypoints that are tested together before any descriptor is touched.
-const TESTED_TOGETHER: usize = 64;
+/// Keypoints near a line that are collected before their descriptors are compared.
+const HELD: usize = 256;
 
 /// The two nearest of a keypoint among those that it admits; lowers the best of those in passing.
 // With a population count of the processor this takes a fraction of the time; it computes the same.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512vpopcntdq+popcnt", "x86_64+avx2+popcnt"))]
-fn search(row: &Row<'_>, strips: &Strips, of_b: &mut [u64]) -> [u64; 2] {
+fn search(row: &Row<'_>, strips: &Strips, held: &mut [u32; HELD + 2], of_b: &mut [u64]) -> [u64; 2] {
     let mut best = [NO_KEY; 2];
+    let coarse = strips.coarse(&row.line, row.half_width_px);
+    let mut count = 0;
     strips.for_each_run(&row.line, row.half_width_px, row.expected, |run| {
-        let mut start = run.start;
-        while start < run.end {
-            let end = run.end.min(start + TESTED_TOGETHER);
-            // Without a branch that no processor could foretell.
-            let mut admitted = [0u32; TESTED_TOGETHER];
-            let mut count = 0;
-            for (offset, other) in strips.stored[start..end].iter().enumerate() {
-                admitted[count & (TESTED_TOGETHER - 1)] = offset as u32;
-                count += usize::from(row.admits(other));
+        for start in run.clone().step_by(TOGETHER) {
+            if count > HELD - TOGETHER {
+                compare(row, strips, &held[..count], &mut best, of_b);
+                count = 0;
             }
-            for &offset in &admitted[..count] {
-                let at = start + offset as usize;
-                let other = strips.stored[at].index;
-                let distance = u64::from(row.descriptor.hamming(&strips.descriptors[at])) << 32;
-                let key = distance | u64::from(other);
-                best[1] = best[1].min(best[0].max(key));
-                best[0] = best[0].min(key);
-                let of_other = &mut of_b[other as usize];
-                *of_other = (*of_other).min(distance | u64::from(row.index));
+            let mut near = strips.near(start, &coarse);
+            if run.end - start < TOGETHER {
+                near &= (1 << (run.end - start)) - 1;
             }
-            start = end;
+            // Most runs hold none to two: those are taken without a branch.
+            for _ in 0..2 {
+                held[count] = (start as u32).wrapping_add(near.trailing_zeros());
+                count += usize::from(near != 0);
+                near &= near.wrapping_sub(1);
+            }
+            while near != 0 {
+                held[count] = start as u32 + near.trailing_zeros();
+                count += 1;
+                near &= near - 1;
+            }
         }
     });
+    compare(row, strips, &held[..count], &mut best, of_b);
     best
+}
+
+/// Takes in those of the held keypoints that the row admits. Also without a branch: the others get the worst key.
+#[inline(always)]
+fn compare(row: &Row<'_>, strips: &Strips, held: &[u32], best: &mut [u64; 2], of_b: &mut [u64]) {
+    for &at in held {
+        let other = &strips.stored[at as usize];
+        let refused = u64::from(row.admits(other)).wrapping_sub(1);
+        let distance = u64::from(row.descriptor.hamming(&strips.descriptors[at as usize])) << 32;
+        let key = (distance | u64::from(other.index)) | refused;
+        best[1] = best[1].min(best[0].max(key));
+        best[0] = best[0].min(key);
+        let of_other = &mut of_b[other.index as usize];
+        *of_other = (*of_other).min(distance | u64::from(row.index) | refused);
+    }
 }
 
 #[cfg(test)]

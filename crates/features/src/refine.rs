@@ -149,7 +149,7 @@ impl RefineOptions {
         if !(self.min_correlation >= -1.0 && self.min_correlation <= 1.0) {
             return bad("min_correlation", self.min_correlation.to_string(), "a number from -1 to 1");
         }
-        if !(self.max_sigma_px > 0.0) {
+        if self.max_sigma_px.is_nan() || self.max_sigma_px <= 0.0 {
             return bad("max_sigma_px", self.max_sigma_px.to_string(), "a positive number of pixels");
         }
         Ok(())
@@ -209,7 +209,7 @@ fn refine_one(
 ) -> Result<Refined, Rejection> {
     let finite = seed.in_a.iter().chain(seed.in_b.iter()).chain(seed.b_from_a.iter()).all(|value| value.is_finite());
     let determinant = seed.b_from_a.determinant();
-    if !finite || !(1.0 / 64.0..=64.0).contains(&determinant) || !(seed.size_px > 0.0) {
+    if !finite || !(1.0 / 64.0..=64.0).contains(&determinant) || seed.size_px.is_nan() || seed.size_px <= 0.0 {
         return Err(Rejection::BadPrediction);
     }
     let coarsest = (seed.size_px / FINEST_SIZE_PX).log2().round().clamp(0.0, (a.levels.len() - 1) as f64) as usize;

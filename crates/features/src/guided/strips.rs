@@ -92,6 +92,24 @@ pub(super) struct Strips {
     pub(super) stored: Vec<Stored>,
     /// Their descriptors.
     pub(super) descriptors: Vec<Descriptor>,
+    /// Their positions from `middle` in single precision, padded so that [`TOGETHER`] can always be read.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    middle: Point2<f64>,
+    /// What single precision can be wrong by in a distance to a line that passes near the keypoints, px.
+    rounding_px: f64,
+}
+
+/// Keypoints that are tested against a line at once.
+pub(super) const TOGETHER: usize = 16;
+
+/// A line for [`Strips::near`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CoarseLine {
+    x: f32,
+    y: f32,
+    offset: f32,
+    half: f32,
 }
 
 impl Strips {
@@ -127,6 +145,11 @@ impl Strips {
             starts: Vec::new(),
             stored: Vec::with_capacity(positions.len()),
             descriptors: Vec::with_capacity(positions.len()),
+            x: Vec::with_capacity(positions.len() + TOGETHER),
+            y: Vec::with_capacity(positions.len() + TOGETHER),
+            middle: positions[positions.len() / 2],
+            // Two products and a sum of numbers up to twice the extent, each right to 2^-24 of itself.
+            rounding_px: (wide + long) * 2f64.powi(-19),
         };
         let mut order: Vec<(u32, u32)> = positions
             .iter()
@@ -143,7 +166,11 @@ impl Strips {
             let at = positions[index as usize];
             sorted.stored.push(Stored { at, line: line(&at), index });
             sorted.descriptors.push(descriptors[index as usize]);
+            sorted.x.push((at.x - sorted.middle.x) as f32);
+            sorted.y.push((at.y - sorted.middle.y) as f32);
         }
+        sorted.x.resize(positions.len() + TOGETHER, 0.0);
+        sorted.y.resize(positions.len() + TOGETHER, 0.0);
         for cell in 1..sorted.starts.len() {
             sorted.starts[cell] += sorted.starts[cell - 1];
         }
@@ -159,6 +186,34 @@ impl Strips {
     #[inline(always)]
     fn bin(&self, y: f64) -> usize {
         (((y - self.first_along) * self.bins_per_px) as usize).min(self.bins - 1)
+    }
+
+    /// The line with unit normal (or zero) and the half width of its band, for [`Strips::near`].
+    #[inline(always)]
+    pub(super) fn coarse(&self, line: &Vector3<f64>, half: f64) -> CoarseLine {
+        let offset = line.x * self.middle.x + line.y * self.middle.y + line.z;
+        CoarseLine {
+            x: line.x as f32,
+            y: line.y as f32,
+            offset: offset as f32,
+            // The last bits of a line far away are no matter: it is far away.
+            half: ((half + self.rounding_px + 1e-6) * (1.0 + 1e-6)) as f32,
+        }
+    }
+
+    /// One bit for each of the [`TOGETHER`] keypoints stored from `start` on: whether it may be within the band; a
+    /// superset of those that are. Bits past the end of a run mean nothing.
+    #[inline(always)]
+    pub(super) fn near(&self, start: usize, line: &CoarseLine) -> u32 {
+        let lanes = start..start + TOGETHER;
+        let x: &[f32; TOGETHER] = self.x[lanes.clone()].try_into().expect("as many as asked for");
+        let y: &[f32; TOGETHER] = self.y[lanes].try_into().expect("as many as asked for");
+        let mut bits = [0u32; TOGETHER];
+        for lane in 0..TOGETHER {
+            let off = (line.x * x[lane] + line.y * y[lane] + line.offset).abs();
+            bits[lane] = if off <= line.half { 1 << lane } else { 0 };
+        }
+        bits.into_iter().fold(0, |near, bit| near | bit)
     }
 
     /// Visits the keypoints in reach as runs of the stored list: within `half` of the line and within the radius of the

@@ -3,7 +3,9 @@ use nalgebra::{Rotation2, Vector2};
 use rand::RngExt;
 
 /// Pairs of images of 640 x 480: positions in both, and matches.
-struct Sequence(Vec<(Vec<Point2<f64>>, Vec<Point2<f64>>, Vec<Match>)>);
+struct Sequence(Vec<Pair>);
+
+type Pair = (Vec<Point2<f64>>, Vec<Point2<f64>>, Vec<Match>);
 
 /// A scene that turns and shifts, and, if wanted, something fixed in the lower left corner.
 fn sequence(motions: &[(f64, f64, f64)], fixed: bool) -> Sequence {

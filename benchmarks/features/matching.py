@@ -1,0 +1,90 @@
+#!/usr/bin/env python3
+"""Matching of this crate against OpenCV's BFMatcher, guided against exhaustive matching, and refinement.
+
+    python3 benchmarks/features/matching.py
+
+8,000 x 8,000 random descriptors of 486 bits. OpenCV: `knnMatch(k=2)` from A to B and from B to A, which is what the
+ratio test and the cross-check need; the loops in Python that would apply them are not counted. Ours: both directions,
+ratio test and cross-check. Runs alternate; printed is the median of each and of the ratios of neighbouring runs, by
+wall clock. The script makes a virtual environment beside itself with OpenCV below version 5, or uses the one in
+`SKCLAM_BENCH_VENV`. Data for the refinement: `../shared/data`, or the folder in `SKCLAM_DATA`.
+"""
+
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+DATA = pathlib.Path(os.environ.get("SKCLAM_DATA", ROOT.parent / "shared" / "data"))
+ENVIRONMENT = pathlib.Path(os.environ.get("SKCLAM_BENCH_VENV", HERE / ".venv"))
+TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+
+try:
+    import cv2
+    import numpy as np
+except ImportError:
+    python = ENVIRONMENT / "bin" / "python"
+    if not python.exists():
+        subprocess.run([sys.executable, "-m", "venv", str(ENVIRONMENT)], check=True)
+        subprocess.run([python, "-m", "pip", "install", "-q", "opencv-python-headless<5", "numpy"], check=True)
+    os.execv(python, [str(python), *sys.argv])
+
+COUNT = 8000
+ROUNDS = 7
+
+
+def ours(folder, threads):
+    """Milliseconds by kind of matching, one value a repetition."""
+    run = subprocess.run([TARGET / "release" / "examples" / "matching_benchmark", folder / "a", folder / "b", "3"],
+                         env={**os.environ, "RAYON_NUM_THREADS": str(threads)}, check=True, capture_output=True, text=True)
+    times = {}
+    for line in run.stdout.splitlines():
+        kind, milliseconds = line.split()[:2]
+        times.setdefault(kind, []).append(float(milliseconds))
+    return {kind: statistics.median(values) for kind, values in times.items()}
+
+
+def main():
+    for example in ("matching_benchmark", "refinement_benchmark"):
+        subprocess.run(["cargo", "build", "--release", "-q", "-p", "skclam-features", "--example", example], cwd=ROOT,
+                       check=True)
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="matching-benchmark-"))
+    random = np.random.default_rng(1)
+    descriptors = []
+    for name in "ab":
+        bits = random.integers(0, 2, (COUNT, 512), dtype=np.uint8)
+        bits[:, 486:] = 0
+        descriptors.append(np.packbits(bits, axis=1, bitorder="little"))
+        descriptors[-1].tofile(folder / name)
+    a, b = (np.ascontiguousarray(d[:, :61]) for d in descriptors)
+    print(f"OpenCV {cv2.__version__}, {COUNT} x {COUNT} descriptors, load {os.getloadavg()[0]:.1f}")
+    for threads in (1, 2):
+        cv2.setNumThreads(threads)
+        matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+        peer, mine = [], []
+        for _ in range(ROUNDS):
+            start = time.perf_counter()
+            matcher.knnMatch(a, b, 2)
+            matcher.knnMatch(b, a, 2)
+            peer.append((time.perf_counter() - start) * 1e3)
+            mine.append(ours(folder, threads))
+        exhaustive = [times["exhaustive"] for times in mine]
+        ratio = statistics.median(m / p for m, p in zip(exhaustive, peer))
+        print(f"{threads} thread(s): BFMatcher both directions {statistics.median(peer):.1f} ms, "
+              f"ours {statistics.median(exhaustive):.1f} ms, ours / BFMatcher's {ratio:.3f}")
+        for kind in mine[0]:
+            if kind != "exhaustive":
+                ratio = statistics.median(times[kind] / times["exhaustive"] for times in mine)
+                print(f"  {kind} px: {statistics.median(times[kind] for times in mine):.2f} ms, "
+                      f"guided / exhaustive {ratio:.3f}")
+        sys.stdout.flush()
+    subprocess.run([TARGET / "release" / "examples" / "refinement_benchmark", str(DATA)], check=True)
+
+
+if __name__ == "__main__":
+    main()
