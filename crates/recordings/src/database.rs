@@ -2,7 +2,7 @@
 
 use crate::bytes::{Bytes, Problem};
 use crate::recording::{Place, TopicIds, Visitor};
-use crate::{MAX_MESSAGE_BYTES, RecordingError, WireFormat};
+use crate::{MAX_MESSAGE_BYTES, RecordingError, Wanted, WireFormat};
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, MAIN_DB, OpenFlags};
 use std::collections::HashMap;
@@ -120,12 +120,13 @@ fn message(
     let place = Place { file: visitor.file, offset: id as u64, ordinal: 0 };
     let mut bytes = BlobBytes { connection, id, blob: None, position: 0, length: 0 };
     // The size is only looked up where somebody wants the message.
-    if (visitor.want)(&visitor.topics[topic], place) == crate::Wanted::Nothing {
+    let wanted = visitor.wanted(topic, place);
+    if wanted == Wanted::Nothing {
         return Ok(());
     }
     bytes.open()?;
     let length = bytes.length;
-    visitor.message(topic, log_time, place, &mut bytes, length)
+    visitor.message_as_wanted(wanted, topic, log_time, place, &mut bytes, length)
 }
 
 /// The bytes of a message, read as far as they are wanted.

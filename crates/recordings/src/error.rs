@@ -54,6 +54,9 @@ pub enum RecordingError {
         /// The names on both sides.
         problem: String,
     },
+    /// Whoever visits the messages wants no more of them.
+    #[error("stopped")]
+    Stopped,
     /// An option that makes no sense.
     #[error("option {option} is {value}; {need}")]
     Option {

@@ -49,7 +49,7 @@ impl Default for SelectionOptions {
     fn default() -> Self {
         SelectionOptions {
             selection: Selection::Automatic,
-            max_joint_speed: 0.005,
+            max_joint_speed: 0.3f64.to_radians(),
             min_stand_s: 0.5,
             settle_s: 0.25,
             max_gap_s: 0.5,

@@ -147,7 +147,26 @@ impl Visitor<'_> {
         bytes: &mut dyn Bytes,
         length: u64,
     ) -> Result<(), Problem> {
-        let count = match (self.want)(&self.topics[topic], place) {
+        let wanted = self.wanted(topic, place);
+        self.message_as_wanted(wanted, topic, log_time, place, bytes, length)
+    }
+
+    /// How much is wanted of a message. To be asked once a message: whoever answers may count.
+    pub fn wanted(&mut self, topic: usize, place: Place) -> Wanted {
+        (self.want)(&self.topics[topic], place)
+    }
+
+    /// The next `length` bytes are a message, of which it is known how much is wanted.
+    pub fn message_as_wanted(
+        &mut self,
+        wanted: Wanted,
+        topic: usize,
+        log_time: Stamp,
+        place: Place,
+        bytes: &mut dyn Bytes,
+        length: u64,
+    ) -> Result<(), Problem> {
+        let count = match wanted {
             Wanted::Nothing => return bytes.skip(length),
             Wanted::Beginning(count) => length.min(count as u64),
             Wanted::Whole => length,

@@ -3,7 +3,7 @@
 
 use crate::bytes::{Bytes, FileBytes, Problem};
 use crate::recording::{Place, Topic, Visitor};
-use crate::{MessageKind, RecordingError, Stamp};
+use crate::{MessageKind, RecordingError, Stamp, Wanted};
 use std::io::{BufRead, Read};
 use std::path::{Component, Path, PathBuf};
 
@@ -65,12 +65,13 @@ fn visit(entry: &Entry, offset: u64, path: &Path, visitor: &mut Visitor<'_>) -> 
         let mut bytes = TextBytes(entry.text.as_bytes());
         return visitor.message(topic, entry.stamp, place, &mut bytes, entry.text.len() as u64);
     }
-    if (visitor.want)(&visitor.topics[topic], place) == crate::Wanted::Nothing {
+    let wanted = visitor.wanted(topic, place);
+    if wanted == Wanted::Nothing {
         return Ok(());
     }
     let mut file = FileBytes::open(path)?;
     let length = file.length;
-    visitor.message(topic, entry.stamp, place, &mut file, length)
+    visitor.message_as_wanted(wanted, topic, entry.stamp, place, &mut file, length)
 }
 
 fn topic(name: &str, kind: MessageKind, visitor: &mut Visitor<'_>) -> usize {

@@ -58,7 +58,7 @@ pub fn read_joint_log(path: &Path, robot: &SerialChain, offset_s: f64) -> Result
             return Err(wrong(line, "timestamp_s is beyond 9e9 s".to_owned()));
         }
         let values =
-            columns.iter().map(|&(column, scale)| Ok(number(column)? * scale)).collect::<Result<Vec<_>, _>>()?;
+            columns.iter().map(|&(column, scale)| Ok(number(column)? * scale)).collect::<Result<Vec<_>, ImportError>>()?;
         track.push(stamp as i64, &values);
     }
     if track.is_empty() {
