@@ -23,12 +23,7 @@ const IMAGES: [&str; 6] = [
 
 fn cubic(t: f64) -> [f64; 4] {
     let (t2, t3) = (t * t, t * t * t);
-    [
-        0.5 * (-t3 + 2.0 * t2 - t),
-        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
-        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
-        0.5 * (t3 - t2),
-    ]
+    [0.5 * (-t3 + 2.0 * t2 - t), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0), 0.5 * (-3.0 * t3 + 4.0 * t2 + t), 0.5 * (t3 - t2)]
 }
 
 fn sample(image: &GrayImage, x: f64, y: f64) -> Option<f64> {
@@ -80,7 +75,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("zoom 0.7 to 1.4", [0.7, 0.85, 1.2, 1.4].map(|zoom| [5.0, zoom, 0.0]).to_vec()),
         ("view 10 to 40 deg", [10.0, 20.0, 30.0, 40.0].map(|side| [10.0, 1.0, side]).to_vec()),
     ];
-    println!("image, group: correct matches; refined; median error before, after (px); 95 % after; off by > 0.5 px; nees; us a match");
+    println!(
+        "image, group: correct matches; refined; median error before, after (px); 95 % after; off by > 0.5 px; nees; us a match"
+    );
     let mut all: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); groups.len()];
     for name in IMAGES {
         let paths = ["", ".png", ".jpg"].map(|end| format!("{data}/{name}{end}"));
@@ -91,7 +88,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let image = image::open(path)?.to_luma8();
         let (features_a, pyramid_a) = (akaze.detect_and_describe(&image, None)?, Pyramid::new(&image));
         for ((group, views), all) in groups.iter().zip(&mut all) {
-            let (mut before, mut after, mut seconds, mut count, mut nees) = (Vec::new(), Vec::new(), 0.0, 0, Vec::new());
+            let (mut before, mut after, mut seconds, mut count, mut nees) =
+                (Vec::new(), Vec::new(), 0.0, 0, Vec::new());
             for [turn, zoom, side] in views {
                 let b_from_a = homography(&image, *turn, *zoom, *side);
                 let other = warped(&image, &b_from_a.try_inverse().ok_or("singular")?);
@@ -101,10 +99,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let matching = match_descriptors(&features_a.descriptors, &features_b.descriptors, &options)?;
                 let (mut seeds, mut truths) = (Vec::new(), Vec::new());
                 for m in &matching.matches {
-                    let seed = Seed::from_keypoints(
-                        &features_a.keypoints[m.a as usize],
-                        &features_b.keypoints[m.b as usize],
-                    );
+                    let seed =
+                        Seed::from_keypoints(&features_a.keypoints[m.a as usize], &features_b.keypoints[m.b as usize]);
                     let p = b_from_a * seed.in_a.to_homogeneous();
                     let truth = Point2::new(p.x / p.z, p.y / p.z);
                     if (seed.in_b - truth).norm() <= 3.0 {
@@ -128,7 +124,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             for list in [&mut before, &mut after, &mut nees] {
                 list.sort_by(f64::total_cmp);
             }
-            let at = |list: &[f64], share: f64| list.get((list.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+            let at =
+                |list: &[f64], share: f64| list.get((list.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
             println!(
                 "{name}, {group}: {count}; {}; {:.3}, {:.4}; {:.3}; {}; {:.2}; {:.1}",
                 after.len(),

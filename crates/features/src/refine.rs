@@ -3,7 +3,7 @@
 //! A detector finds the same point in two images to some tenths of a pixel. Where the surface around it is smooth, far
 //! more is known: the patch around the point of image A, warped as the change of view predicts, is to be found in
 //! image B. The point of image A is taken as it stands (it *names* the point), the one in image B is moved until the
-//! patches agree, by Lucas and Kanade's method ([`align`]), and gets a covariance from the gradients of the patch and
+//! patches agree, by Lucas and Kanade's method (in `align`), and gets a covariance from the gradients of the patch and
 //! from what remains of the difference.
 //!
 //! Large keypoints are first aligned at a coarse level of a pyramid and then at finer ones, as long as that makes the
