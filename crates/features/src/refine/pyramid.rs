@@ -126,14 +126,7 @@ impl Level {
     }
 
     /// Samples the patch into the start of `into`, row by row, in grey values; the caller has asked [`Level::holds`].
-    pub(super) fn sample(
-        &self,
-        centre: [f64; 2],
-        step: [[f32; 2]; 2],
-        cubic: &Cubic,
-        count: usize,
-        into: &mut [f32],
-    ) {
+    pub(super) fn sample(&self, centre: [f64; 2], step: [[f32; 2]; 2], cubic: &Cubic, count: usize, into: &mut [f32]) {
         let origin = centre.map(f64::floor);
         // From here the rest is small, so that single precision is enough; no patch reaches farther than this.
         let base = BASE as i64;
