@@ -21,10 +21,9 @@ fn main() {
     if which != "pairwise" {
         bundle();
     }
-    if let Ok(status) = std::fs::read_to_string("/proc/self/status") {
-        if let Some(peak) = status.lines().find(|line| line.starts_with("VmHWM")) {
-            println!("peak memory {}", peak.trim_start_matches("VmHWM:").trim());
-        }
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    if let Some(peak) = status.lines().find(|line| line.starts_with("VmHWM")) {
+        println!("peak memory {}", peak.trim_start_matches("VmHWM:").trim());
     }
 }
 

@@ -24,10 +24,13 @@ pub struct EpipolarStatistics {
     pub matches: usize,
 }
 
+/// Two postures and the pixels of their matches.
+type UndistortedPair = (usize, usize, Vec<(Pixel, Pixel)>);
+
 /// Pairs with a baseline, their pixels freed of distortion once and for all.
 #[derive(Debug, Clone)]
 pub(crate) struct UndistortedPairs {
-    pairs: Vec<(usize, usize, Vec<(Pixel, Pixel)>)>,
+    pairs: Vec<UndistortedPair>,
     pub matches: usize,
 }
 

@@ -102,7 +102,7 @@ impl Motion {
 
     /// The part of `deviations` that belongs to a posture.
     pub(crate) fn deviation<'a>(&self, deviations: &'a [f64], posture: usize) -> &'a [f64] {
-        let joints = if self.len() == 0 { 0 } else { deviations.len() / self.len() };
+        let joints = deviations.len().checked_div(self.len()).unwrap_or(0);
         &deviations[posture * joints..(posture + 1) * joints]
     }
 

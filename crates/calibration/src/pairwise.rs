@@ -434,8 +434,7 @@ mod tests {
         }
         let mut truth = nominal.clone();
         truth.flange_from_color.translation.vector.x += 0.01;
-        truth.flange_from_color =
-            truth.flange_from_color * nalgebra::UnitQuaternion::from_euler_angles(0.03, -0.02, 0.05);
+        truth.flange_from_color *= nalgebra::UnitQuaternion::from_euler_angles(0.03, -0.02, 0.05);
         truth.color.fx += 4.0;
         let all: Vec<(usize, usize)> = (0..12).flat_map(|a| (a + 1..12).map(move |b| (a, b))).collect();
         let pairs = fresh_pairs(&truth, &postures, &all, 40, half_pixel(), &mut rng);

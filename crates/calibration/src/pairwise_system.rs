@@ -9,6 +9,11 @@ use skclam_geometry::INTRINSICS;
 
 /// Matches a task; small enough to share, large enough to pay.
 const CHUNK: usize = 512;
+/// Pair, first match, one past the last.
+type Chunk = (usize, usize, usize);
+/// Both ends of every match of a chunk.
+type Sights = Vec<(Sight, Sight)>;
+
 const WITH_INTRINSICS: usize = 6 + INTRINSICS;
 
 pub(crate) struct PairwiseSystem<'a> {
@@ -16,10 +21,10 @@ pub(crate) struct PairwiseSystem<'a> {
     motion: &'a Motion,
     parameters: &'a [Parameter],
     /// Pair and range of its matches, in order.
-    chunks: Vec<(usize, usize, usize)>,
+    chunks: Vec<Chunk>,
     intrinsics_free: bool,
     /// Directions under the camera that was there first; they stand for all models while intrinsics are not free.
-    sights: std::sync::OnceLock<Vec<Vec<(Sight, Sight)>>>,
+    sights: std::sync::OnceLock<Vec<Sights>>,
 }
 
 impl<'a> PairwiseSystem<'a> {
@@ -38,9 +43,9 @@ impl<'a> PairwiseSystem<'a> {
         }
     }
 
-    fn look(&self, model: &Model) -> Vec<Vec<(Sight, Sight)>> {
+    fn look(&self, model: &Model) -> Vec<Sights> {
         let camera = &model.rig.color;
-        let look = |&(pair, from, to): &(usize, usize, usize)| -> Vec<(Sight, Sight)> {
+        let look = |&(pair, from, to): &Chunk| -> Sights {
             self.pairs[pair].matches[from..to]
                 .iter()
                 .map(|m| {
@@ -54,7 +59,7 @@ impl<'a> PairwiseSystem<'a> {
         self.chunks.par_iter().map(look).collect()
     }
 
-    fn with_sights<T>(&self, model: &Model, use_them: impl FnOnce(&[Vec<(Sight, Sight)>]) -> T) -> T {
+    fn with_sights<T>(&self, model: &Model, use_them: impl FnOnce(&[Sights]) -> T) -> T {
         if self.intrinsics_free {
             use_them(&self.look(model))
         } else {
@@ -71,7 +76,7 @@ impl<'a> PairwiseSystem<'a> {
     pub(crate) fn residuals(&self, model: &Model) -> Result<Vec<f64>, CalibrationError> {
         let relative = self.relative_poses(model)?;
         Ok(self.with_sights(model, |sights| {
-            let of_chunk = |(&(pair, ..), sights): (&(usize, usize, usize), &Vec<(Sight, Sight)>)| -> Vec<f64> {
+            let of_chunk = |(&(pair, ..), sights): (&Chunk, &Sights)| -> Vec<f64> {
                 sights.iter().map(|(a, b)| relative[pair].distance(a, b)).collect()
             };
             self.chunks.par_iter().zip(sights).map(of_chunk).collect::<Vec<_>>().concat()
@@ -82,7 +87,7 @@ impl<'a> PairwiseSystem<'a> {
     pub(crate) fn cost(&self, model: &Model, loss: Loss, sigma: f64) -> Result<f64, CalibrationError> {
         let relative = self.relative_poses(model)?;
         Ok(self.with_sights(model, |sights| {
-            let of_chunk = |(&(pair, ..), sights): (&(usize, usize, usize), &Vec<(Sight, Sight)>)| -> f64 {
+            let of_chunk = |(&(pair, ..), sights): (&Chunk, &Sights)| -> f64 {
                 sights.iter().map(|(a, b)| loss.rho(relative[pair].distance(a, b) / sigma)).sum()
             };
             // Collected before it is summed: the order does not depend on the threads.
@@ -123,7 +128,7 @@ impl<'a> PairwiseSystem<'a> {
             columns
         };
         let partial = self.with_sights(model, |sights| {
-            let of_chunk = |(&(pair, ..), sights): (&(usize, usize, usize), &Vec<(Sight, Sight)>)| {
+            let of_chunk = |(&(pair, ..), sights): (&Chunk, &Sights)| {
                 if self.intrinsics_free {
                     self.chunk_with_intrinsics(model, &relative[pair], sights, loss, sigma)
                 } else {

@@ -16,7 +16,7 @@ use skclam_geometry::Point3;
 use skclam_rig::Rig;
 
 /// A gain below this, in squared sigmas, means nothing.
-const MEANINGLESS_GAIN: f64 = 1e-4;
+const MEANINGLESS_GAIN: f64 = 1e-3;
 
 /// All that a descent needs besides the state.
 pub(crate) struct Adjustment<'a> {
@@ -32,7 +32,7 @@ pub(crate) struct Adjustment<'a> {
 impl Adjustment<'_> {
     fn unknowns(&self, state: &State) -> Unknowns<'_> {
         let postures = self.motion.len();
-        let joints = if postures == 0 { 0 } else { state.deviations.len() / postures };
+        let joints = state.deviations.len().checked_div(postures).unwrap_or(0);
         Unknowns { parameters: self.parameters, board: state.base_from_board.is_some(), joints, postures }
     }
 

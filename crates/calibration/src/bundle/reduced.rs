@@ -331,9 +331,8 @@ pub(crate) fn reduce(
 ) -> PoseSystem {
     let partial = |&(from, to): &(usize, usize)| {
         let mut system = PoseSystem::new(observations.postures);
-        for track in from..to {
-            if let Some(linear) = linearize_track(view, observations.track(track), &points[track], shared_free, damping)
-            {
+        for (track, point) in (from..to).zip(&points[from..to]) {
+            if let Some(linear) = linearize_track(view, observations.track(track), point, shared_free, damping) {
                 add_track(&mut system, &linear);
             }
         }
@@ -458,9 +457,8 @@ pub(crate) fn residual_sizes(
     };
     let of_chunk = |&(from, to): &(usize, usize)| -> Vec<ResidualSize> {
         let mut sizes = Vec::new();
-        for track in from..to {
+        for (track, point) in (from..to).zip(&points[from..to]) {
             let sightings = observations.track(track);
-            let point = &points[track];
             let spread = linearize_track(view, sightings, point, false, 0.0)
                 .map_or_else(Matrix3::zeros, |linear| linear.inverse);
             sizes.extend(sightings.iter().map(|sighting| size(sighting, point, &spread)));
