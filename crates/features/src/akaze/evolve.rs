@@ -12,6 +12,7 @@
 
 use super::bands::{Ring, mirrored};
 use super::options::Diffusivity;
+use super::peak::PeakFit;
 use super::plan::Level;
 use super::rows::{self, DerivativeTaps, DiffusionRows};
 use std::ops::Range;
@@ -25,8 +26,8 @@ pub(crate) struct Candidate {
     pub y: u32,
     /// Determinant at the pixel.
     pub response: f32,
-    /// Offset of the peak of the parabola through the 3 x 3 pixels around, in x and y.
-    pub offset: [f32; 2],
+    /// Where the peak lies relative to the pixel, in pixels in x and y; none where that is not stable.
+    pub offset: Option<[f32; 2]>,
 }
 
 /// What is done to one level.
@@ -82,6 +83,8 @@ pub(crate) fn run_band(task: &LevelTask<'_>, scratch: &mut BandScratch, mut outp
     let step = level.step;
     let taps = DerivativeTaps::new(step);
     let scale = (step * step * step * step) as f32;
+    let fit = PeakFit::new(step);
+    let reach = fit.radius;
     let searched = output.gradient.is_some();
 
     let BandScratch { smooth, flow, across, down, steps, lx, ly, det, lines, found, candidates } = scratch;
@@ -95,7 +98,7 @@ pub(crate) fn run_band(task: &LevelTask<'_>, scratch: &mut BandScratch, mut outp
     for ring in [&mut *lx, &mut *ly] {
         ring.reset(w, 2 * step + 1);
     }
-    det.reset(w, 3);
+    det.reset(w, 2 * reach + 1);
     for line in lines.iter_mut() {
         line.resize(line.len().max(w + 2 * step.max(2)), 0.0);
     }
@@ -103,14 +106,15 @@ pub(crate) fn run_band(task: &LevelTask<'_>, scratch: &mut BandScratch, mut outp
 
     // Rows that each stage has to make: those of the band and what later stages read beyond them.
     let around = |reach: usize| r0.saturating_sub(reach)..(r1 + reach).min(h);
-    let in_search = |range: Range<usize>| range.start.max(level.border - 1)..range.end.min(h - level.border + 1);
-    let det_rows = if searched { in_search(around(1)) } else { 0..0 };
-    let gradient_rows = if searched { around(step + 1) } else { 0..0 };
-    let smooth_rows = around((n + 1).max(if searched { 2 * step + 1 } else { 0 }));
+    let in_search =
+        |range: Range<usize>| range.start.max(level.border - reach)..range.end.min(h - level.border + reach);
+    let det_rows = if searched { in_search(around(reach)) } else { 0..0 };
+    let gradient_rows = if searched { around(step + reach) } else { 0..0 };
+    let smooth_rows = around((n + 1).max(if searched { 2 * step + reach } else { 0 }));
     let flow_rows = if n > 0 { around(n) } else { 0..0 };
     // Conductivities towards the next row.
     let pair_rows = if n > 0 { r0.saturating_sub(n)..(r1 + n - 1).min(h) } else { 0..0 };
-    let end = r1 + n.max(2 * step) + 1;
+    let end = r1 + n.max(2 * step + reach - 1) + 1;
 
     for t in smooth_rows.start..end {
         if smooth_rows.contains(&t) {
@@ -177,8 +181,8 @@ pub(crate) fn run_band(task: &LevelTask<'_>, scratch: &mut BandScratch, mut outp
             let ly3 = [ly.row(y - step), ly.row(y), ly.row(y + step)];
             rows::determinant(lx3, ly3, taps, scale, [line_a, line_b, line_c], det.row_mut(y));
         }
-        if t > 2 * step && (r0..r1).contains(&(t - 2 * step - 1)) {
-            let y = t - 2 * step - 1;
+        if t >= 2 * step + reach && (r0..r1).contains(&(t - 2 * step - reach)) {
+            let y = t - 2 * step - reach;
             if y < level.border || y >= h - level.border {
                 continue;
             }
@@ -189,7 +193,7 @@ pub(crate) fn run_band(task: &LevelTask<'_>, scratch: &mut BandScratch, mut outp
                 x,
                 y: y as u32,
                 response: three[1][x as usize],
-                offset: peak_offset(three, x as usize),
+                offset: fit.offset(|dy| det.row(y + dy - reach), x as usize),
             }));
         }
     }
@@ -210,45 +214,5 @@ fn conductivity(task: &LevelTask<'_>, around: [&[f32]; 3], scratch: [&mut [f32];
                 };
             }
         }
-    }
-}
-
-/// Peak of the parabola `f + g' d + d' H d / 2` through the 3 x 3 values around column `x`; zero where the parabola
-/// has no single stationary point.
-pub(crate) fn peak_offset(rows: [&[f32]; 3], x: usize) -> [f32; 2] {
-    let v = |dy: usize, dx: usize| f64::from(rows[dy][x + dx - 1]);
-    let gx = 0.5 * (v(1, 2) - v(1, 0));
-    let gy = 0.5 * (v(2, 1) - v(0, 1));
-    let hxx = v(1, 2) + v(1, 0) - 2.0 * v(1, 1);
-    let hyy = v(2, 1) + v(0, 1) - 2.0 * v(1, 1);
-    let hxy = 0.25 * (v(2, 2) + v(0, 0) - v(0, 2) - v(2, 0));
-    let det = hxx * hyy - hxy * hxy;
-    if det == 0.0 {
-        return [0.0, 0.0];
-    }
-    [((hxy * gy - hyy * gx) / det) as f32, ((hxy * gx - hxx * gy) / det) as f32]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_peak_of_a_parabola_is_found_exactly() {
-        let peak = [0.31f64, -0.22];
-        let value = |x: f64, y: f64| {
-            let (dx, dy) = (x - peak[0], y - peak[1]);
-            (3.0 - 0.8 * dx * dx - 0.5 * dy * dy + 0.2 * dx * dy) as f32
-        };
-        let rows: Vec<Vec<f32>> =
-            (-1..=1).map(|y| (-1..=1).map(|x| value(f64::from(x), f64::from(y))).collect()).collect();
-        let offset = peak_offset([&rows[0], &rows[1], &rows[2]], 1);
-        assert!((f64::from(offset[0]) - peak[0]).abs() < 1e-5 && (f64::from(offset[1]) - peak[1]).abs() < 1e-5);
-    }
-
-    #[test]
-    fn a_plane_has_no_peak() {
-        let row = [1.0f32; 3];
-        assert_eq!(peak_offset([&row, &row, &row], 1), [0.0, 0.0]);
     }
 }

@@ -158,8 +158,8 @@ mod tests {
         let turned: Vec<f32> = image.iter().rev().copied().collect();
         let turned_gradient: Vec<[f32; 2]> = gradient.iter().rev().map(|g| [-g[0], -g[1]]).collect();
         let direction = [0.8f32, 0.6];
-        let a = Square { centre: [40.2, 38.7], step: 2.0, direction };
-        let b = Square { centre: [79.0 - 40.2, 79.0 - 38.7], step: 2.0, direction: direction.map(|d| -d) };
+        let a = Square { centre: [40.2, 38.76], step: 2.0, direction };
+        let b = Square { centre: [79.0 - 40.2, 79.0 - 38.76], step: 2.0, direction: direction.map(|d| -d) };
         let distance = describe(&image, &gradient, size, a).hamming(&describe(&turned, &turned_gradient, size, b));
         assert!(distance <= 4, "{distance}");
     }

@@ -46,6 +46,11 @@ impl Level {
     pub(crate) fn to_image(&self, coordinate: f32) -> f32 {
         coordinate * self.ratio() + 0.5 * (self.ratio() - 1.0)
     }
+
+    /// Inverse of [`Level::to_image`].
+    pub(crate) fn from_image(&self, coordinate: f32) -> f32 {
+        (coordinate - 0.5 * (self.ratio() - 1.0)) / self.ratio()
+    }
 }
 
 /// The levels of an image of the given size, finest first.
@@ -108,5 +113,6 @@ mod tests {
         assert_eq!(levels[0].to_image(7.0), 7.0);
         assert_eq!(levels[4].to_image(0.0), 0.5);
         assert_eq!(levels[8].to_image(1.0), 5.5);
+        assert_eq!(levels[8].from_image(5.5), 1.0);
     }
 }

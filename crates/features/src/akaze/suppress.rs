@@ -8,47 +8,20 @@
 use super::evolve::Candidate;
 use super::plan::Level;
 
-/// The maxima of one level, in rows from top to bottom, and what has become of them.
+/// Points of a level in rows from top to bottom, and where each row begins.
 #[derive(Debug, Default)]
-pub(crate) struct LevelMaxima {
-    /// Those that are the strongest of their level's neighbourhood.
+pub(crate) struct Rows {
+    /// The points, row by row and from left to right.
     pub points: Vec<Candidate>,
-    /// Whether a stronger one in the level above lies near.
-    pub beaten_from_above: Vec<bool>,
-    /// Whether a stronger one in the level below lies near.
-    pub beaten_from_below: Vec<bool>,
     /// First point of each row, and the number of points at the end.
     row_start: Vec<u32>,
 }
 
-impl LevelMaxima {
-    /// Keeps of `candidates` (row by row) the strongest within the level's step.
-    pub(crate) fn fill(&mut self, candidates: &[Candidate], level: &Level) {
+impl Rows {
+    /// Takes points that are in order.
+    pub(crate) fn fill(&mut self, points: impl IntoIterator<Item = Candidate>, height: usize) {
         self.points.clear();
-        self.points.extend_from_slice(candidates);
-        self.index_rows(level.height);
-
-        let mut order: Vec<u32> = (0..candidates.len() as u32).collect();
-        order.sort_unstable_by(|&a, &b| {
-            let (ca, cb) = (&candidates[a as usize], &candidates[b as usize]);
-            cb.response.total_cmp(&ca.response).then(a.cmp(&b))
-        });
-        let mut kept = vec![false; candidates.len()];
-        let reach = level.step as f32;
-        for &i in &order {
-            let c = &candidates[i as usize];
-            kept[i as usize] = !self.any_near(c.x as f32, c.y as f32, reach, |j| kept[j]);
-        }
-        let mut keep = kept.iter();
-        self.points.retain(|_| *keep.next().expect("one flag a candidate"));
-        self.index_rows(level.height);
-        for flags in [&mut self.beaten_from_above, &mut self.beaten_from_below] {
-            flags.clear();
-            flags.resize(self.points.len(), false);
-        }
-    }
-
-    fn index_rows(&mut self, height: usize) {
+        self.points.extend(points);
         self.row_start.clear();
         self.row_start.resize(height + 1, 0);
         for p in &self.points {
@@ -59,26 +32,54 @@ impl LevelMaxima {
         }
     }
 
-    /// Whether a point that passes the test lies within `reach` of a position in this level's pixels.
-    fn any_near(&self, x: f32, y: f32, reach: f32, test: impl Fn(usize) -> bool) -> bool {
-        let height = self.row_start.len() - 1;
+    /// Indices of the points whose pixel lies within `reach` of a position, in order, with the squared distance.
+    pub(crate) fn near(&self, [x, y]: [f32; 2], reach: f32) -> impl Iterator<Item = (usize, f32)> {
+        let height = self.row_start.len().saturating_sub(1);
         let top = (y - reach).ceil().max(0.0) as usize;
         let bottom = ((y + reach).floor().max(-1.0) + 1.0) as usize;
-        for row in top..bottom.min(height) {
+        (top..bottom.min(height)).flat_map(move |row| {
             let (start, end) = (self.row_start[row] as usize, self.row_start[row + 1] as usize);
             let points = &self.points[start..end];
             let first = points.partition_point(|p| (p.x as f32) < x - reach);
-            for (i, p) in points.iter().enumerate().skip(first) {
-                let (dx, dy) = (p.x as f32 - x, p.y as f32 - y);
-                if dx > reach {
-                    break;
-                }
-                if dx * dx + dy * dy <= reach * reach && test(start + i) {
-                    return true;
-                }
-            }
+            points[first..]
+                .iter()
+                .take_while(move |p| p.x as f32 <= x + reach)
+                .map(move |p| (p.x as f32 - x).powi(2) + (p.y as f32 - y).powi(2))
+                .enumerate()
+                .map(move |(i, d2)| (start + first + i, d2))
+                .filter(move |&(_, d2)| d2 <= reach * reach)
+        })
+    }
+}
+
+/// The maxima of one level that pass the threshold, and what has become of them.
+#[derive(Debug, Default)]
+pub(crate) struct LevelMaxima {
+    /// Those that are the strongest of their level's neighbourhood.
+    pub kept: Rows,
+    /// Whether a stronger one in the level above lies near.
+    pub beaten_from_above: Vec<bool>,
+    /// Whether a stronger one in the level below lies near.
+    pub beaten_from_below: Vec<bool>,
+}
+
+impl LevelMaxima {
+    /// Keeps of the level's maxima the strongest within the level's step.
+    pub(crate) fn fill(&mut self, all: &Rows, level: &Level) {
+        let at = |i: u32| &all.points[i as usize];
+        let mut order: Vec<u32> = (0..all.points.len() as u32).collect();
+        order.sort_unstable_by(|&a, &b| at(b).response.total_cmp(&at(a).response).then(a.cmp(&b)));
+        let mut keep = vec![false; all.points.len()];
+        for &i in &order {
+            let c = at(i);
+            let taken = all.near([c.x as f32, c.y as f32], level.step as f32).any(|(j, _)| keep[j]);
+            keep[i as usize] = !taken;
         }
-        false
+        self.kept.fill(all.points.iter().zip(&keep).filter(|(_, k)| **k).map(|(p, _)| *p), level.height);
+        for flags in [&mut self.beaten_from_above, &mut self.beaten_from_below] {
+            flags.clear();
+            flags.resize(self.kept.points.len(), false);
+        }
     }
 
     /// Whether a point counts as an extremum once both of its neighbouring levels are known.
@@ -89,20 +90,19 @@ impl LevelMaxima {
 
 /// Lets the maxima of two neighbouring levels compete.
 pub(crate) fn compete(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
-    // A pixel of the coarser level in pixels of the finer one: 1 within an octave, 2 between octaves.
-    let ratio = up.ratio() / low.ratio();
-    let shift = 0.5 * (ratio - 1.0);
     let reach = up.step as f32;
-    for i in 0..lower.points.len() {
-        let p = lower.points[i];
-        let (x, y) = ((p.x as f32 - shift) / ratio, (p.y as f32 - shift) / ratio);
-        lower.beaten_from_above[i] = upper.any_near(x, y, reach, |j| upper.points[j].response > p.response);
+    for (p, beaten) in lower.kept.points.iter().zip(&mut lower.beaten_from_above) {
+        let at = [p.x, p.y].map(|c| up.from_image(low.to_image(c as f32)));
+        *beaten = upper.kept.near(at, reach).any(|(j, _)| upper.kept.points[j].response > p.response);
     }
-    for j in 0..upper.points.len() {
-        let p = upper.points[j];
-        let (x, y) = (p.x as f32 * ratio + shift, p.y as f32 * ratio + shift);
-        upper.beaten_from_below[j] = lower
-            .any_near(x, y, reach * ratio, |i| !lower.beaten_from_above[i] && lower.points[i].response > p.response);
+    // A pixel of the coarser level in pixels of the finer one: 1 within an octave, 2 between octaves.
+    let reach = reach * up.ratio() / low.ratio();
+    for (p, beaten) in upper.kept.points.iter().zip(&mut upper.beaten_from_below) {
+        let at = [p.x, p.y].map(|c| low.from_image(up.to_image(c as f32)));
+        *beaten = lower
+            .kept
+            .near(at, reach)
+            .any(|(i, _)| !lower.beaten_from_above[i] && lower.kept.points[i].response > p.response);
     }
 }
 
@@ -113,7 +113,13 @@ mod tests {
     use super::*;
 
     fn candidate(x: u32, y: u32, response: f32) -> Candidate {
-        Candidate { x, y, response, offset: [0.0; 2] }
+        Candidate { x, y, response, offset: Some([0.0; 2]) }
+    }
+
+    fn rows(points: &[Candidate], level: &Level) -> Rows {
+        let mut rows = Rows::default();
+        rows.fill(points.iter().copied(), level.height);
+        rows
     }
 
     #[test]
@@ -122,8 +128,8 @@ mod tests {
         let mut maxima = LevelMaxima::default();
         // A chain: 3 beats 2, and 1 stands far enough from 3.
         let chain = [candidate(50, 50, 1.0), candidate(52, 50, 2.0), candidate(54, 50, 3.0)];
-        maxima.fill(&chain, &levels[0]);
-        assert_eq!(maxima.points.iter().map(|p| p.response).collect::<Vec<_>>(), [1.0, 3.0]);
+        maxima.fill(&rows(&chain, &levels[0]), &levels[0]);
+        assert_eq!(maxima.kept.points.iter().map(|p| p.response).collect::<Vec<_>>(), [1.0, 3.0]);
     }
 
     #[test]
@@ -132,14 +138,30 @@ mod tests {
         let (low, up) = (&levels[3], &levels[4]);
         let (mut a, mut b) = (LevelMaxima::default(), LevelMaxima::default());
         // Pixel 50 of the upper level has its centre at 100.5 of the lower; the reach is 2 * 2 pixels.
-        a.fill(&[candidate(97, 100, 1.0), candidate(105, 100, 1.0)], low);
-        b.fill(&[candidate(50, 50, 2.0)], up);
+        a.fill(&rows(&[candidate(97, 100, 1.0), candidate(105, 100, 1.0)], low), low);
+        b.fill(&rows(&[candidate(50, 50, 2.0)], up), up);
         compete(&mut a, low, &mut b, up);
         assert_eq!(a.beaten_from_above, [true, false]);
         assert!(b.is_extremum(0));
         // The other way round: a stronger one below.
-        a.fill(&[candidate(104, 100, 3.0)], low);
+        a.fill(&rows(&[candidate(104, 100, 3.0)], low), low);
         compete(&mut a, low, &mut b, up);
         assert!(a.is_extremum(0) && !b.is_extremum(0));
+    }
+
+    #[test]
+    fn the_search_finds_what_a_plain_one_finds() {
+        let levels = levels(100, 100, &AkazeOptions::default());
+        let points: Vec<Candidate> = (0..400u32).map(|i| candidate(i * 37 % 100, i / 4, 1.0)).collect::<Vec<_>>();
+        let mut sorted = points.clone();
+        sorted.sort_by_key(|p| (p.y, p.x));
+        let rows = rows(&sorted, &levels[0]);
+        for (x, y, reach) in [(0.0, 0.0, 5.0), (50.3, 49.5, 3.0), (99.0, 99.0, 8.0), (120.0, 50.0, 10.0)] {
+            let found: Vec<usize> = rows.near([x, y], reach).map(|(i, _)| i).collect();
+            let plain: Vec<usize> = (0..sorted.len())
+                .filter(|&i| (sorted[i].x as f32 - x).hypot(sorted[i].y as f32 - y) <= reach)
+                .collect();
+            assert_eq!(found, plain);
+        }
     }
 }
