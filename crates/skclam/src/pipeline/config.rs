@@ -41,6 +41,8 @@ pub struct Config {
     pub mask: Option<MaskOptions>,
     /// Joins matches to tracks over many images; `None`: pairs alone.
     pub tracks: Option<TrackOptions>,
+    /// Sightings that the estimator takes at about most, from tracks evenly over the recording; `None`: all.
+    pub max_sightings: Option<usize>,
     /// Aligns the patches of a track's sightings to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,
     /// Which estimator.
@@ -69,6 +71,7 @@ impl Default for Config {
             filter: FilterOptions::default(),
             mask: Some(MaskOptions::default()),
             tracks: Some(TrackOptions::default()),
+            max_sightings: Some(90_000),
             refine: Some(RefineOptions::default()),
             estimator: Estimator::Bundle,
             nelder_mead: NelderMeadOptions::default(),

@@ -16,6 +16,8 @@ use skclam_geometry::Pixel;
 pub struct TrackSummary {
     /// What became of the matches.
     pub links: TrackCounts,
+    /// Tracks that were used; fewer than there are where there are more than enough.
+    pub used: usize,
     /// Sightings whose position was refined.
     pub refined: usize,
     /// Sightings that could not be aligned with their track's reference, and were dropped.
@@ -59,8 +61,8 @@ pub fn correspondences(
             matches: &matched.matches,
         })
         .collect();
-    let tracks = build_tracks(&counts, &links, options)?;
-    let mut summary = TrackSummary { links: tracks.counts, ..TrackSummary::default() };
+    let tracks = thinned(build_tracks(&counts, &links, options)?, config.max_sightings);
+    let mut summary = TrackSummary { links: tracks.counts, used: tracks.len(), ..TrackSummary::default() };
     let (measured, warnings) = measure(dataset, images, &tracks, &keypoints, config, progress, &mut summary)?;
 
     // One measurement a keypoint, for the pairs; `None` where a sighting was dropped or belongs to no track.
@@ -86,6 +88,22 @@ pub fn correspondences(
         boards: Vec::new(),
     };
     Ok((data, Some(summary), warnings))
+}
+
+/// Every k-th track, evenly over the recording, so that about `max_sightings` are left: the error falls only with the root
+/// of their number, the time grows with it.
+fn thinned(tracks: Tracks, max_sightings: Option<usize>) -> Tracks {
+    let Some(limit) = max_sightings.filter(|&limit| tracks.observations.len() > limit) else { return tracks };
+    let keep = limit as f64 / tracks.observations.len() as f64;
+    let mut thin = Tracks { starts: vec![0], counts: tracks.counts, ..Tracks::default() };
+    for (index, track) in tracks.iter().enumerate() {
+        // Track k is kept when the running total of shares passes a whole number.
+        if ((index + 1) as f64 * keep).floor() > (index as f64 * keep).floor() {
+            thin.observations.extend_from_slice(track);
+            thin.starts.push(thin.observations.len());
+        }
+    }
+    thin
 }
 
 /// One entry an observation of the tracks.
@@ -163,4 +181,27 @@ fn pair_matches(
         PairMatches { a, b, matches }
     };
     pairs.iter().map(of_pair).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use skclam_features::Observation;
+
+    #[test]
+    fn thinning_keeps_whole_tracks_evenly() {
+        let observation = |image, keypoint| Observation { image, keypoint };
+        let tracks = Tracks {
+            observations: (0..300).map(|i| observation(i % 3, i / 3)).collect(),
+            starts: (0..=100).map(|track| 3 * track).collect(),
+            counts: TrackCounts::default(),
+        };
+        let thin = thinned(tracks.clone(), Some(75));
+        assert_eq!(thin.len(), 25);
+        assert!(thin.iter().all(|track| track.len() == 3 && track.iter().all(|o| o.keypoint == track[0].keypoint)));
+        let kept: Vec<u32> = thin.iter().map(|track| track[0].keypoint).collect();
+        assert!(kept.windows(2).all(|two| two[1] - two[0] == 4), "{kept:?}");
+        assert_eq!(thinned(tracks.clone(), Some(1000)), tracks);
+        assert_eq!(thinned(tracks.clone(), None), tracks);
+    }
 }
