@@ -36,6 +36,8 @@ mod options;
 mod orientation;
 mod peak;
 mod plan;
+#[cfg(test)]
+mod reference;
 mod rows;
 mod select;
 mod suppress;

@@ -192,14 +192,11 @@ pub(crate) fn diffuse(rows: DiffusionRows<'_>, half_step: f32, out: &mut [f32]) 
     let (above, row, below) = (&rows.above[..w], &rows.row[..w], &rows.below[..w]);
     let (across, up, down) = (&rows.across[..w], &rows.up[..w], &rows.down[..w]);
     let end = |x: usize| {
-        let mut flow = down[x] * (below[x] - row[x]) + up[x] * (above[x] - row[x]);
-        if x > 0 {
-            flow += across[x - 1] * (row[x - 1] - row[x]);
-        }
-        if x + 1 < w {
-            flow += across[x] * (row[x + 1] - row[x]);
-        }
-        row[x] + half_step * flow
+        let c = row[x];
+        let vertical = down[x] * (below[x] - c) + up[x] * (above[x] - c);
+        let right = if x + 1 < w { across[x] * (row[x + 1] - c) } else { 0.0 };
+        let left = if x > 0 { across[x - 1] * (row[x - 1] - c) } else { 0.0 };
+        c + half_step * ((right + left) + vertical)
     };
     out[0] = end(0);
     out[w - 1] = end(w - 1);
