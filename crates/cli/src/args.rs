@@ -3,6 +3,7 @@
 use crate::commands::compensate::CompensateArgs;
 use crate::commands::export::ExportArgs;
 use crate::commands::import::ImportArgs;
+use crate::commands::inspect::InspectArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use std::path::PathBuf;
 
@@ -67,6 +68,9 @@ pub enum Command {
                             Writes rig.toml, postures.csv, color/ and depth/, whole or not at all."
     )]
     Import(ImportArgs),
+    /// Tell what a recording holds; or judge a data set before calibrating: coverage, sharpness, exposure, overlap.
+    #[command(after_help = "Examples:\n  skclam inspect capture.mcap\n  skclam inspect cell/")]
+    Inspect(InspectArgs),
     /// Turn target poses or joints into the ones to command, for controllers that accept no parameters.
     #[command(
         after_help = "Example:\n  skclam compensate targets.csv --nominal cell/rig.toml --calibrated result/rig.toml --out commands.csv\n\n\

@@ -36,6 +36,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Compensate(args) => commands::compensate::compensate(cli, args),
         Command::Export(args) => commands::export::export(cli, args),
         Command::Import(args) => commands::import::import(cli, args),
+        Command::Inspect(args) => commands::inspect::inspect(cli, args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());
             Ok(())

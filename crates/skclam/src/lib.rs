@@ -4,9 +4,12 @@
 //! rooms below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
 //! [`simulation`] and [`recordings`].
 
+pub mod compensation;
 pub mod dataset;
 pub mod evaluation;
+pub mod export;
 pub mod import;
+pub mod inspection;
 pub mod output;
 pub mod pipeline;
 pub mod progress;

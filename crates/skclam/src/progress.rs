@@ -7,6 +7,8 @@ use std::fmt;
 pub enum Stage {
     /// Taking the postures out of a recording.
     Import,
+    /// Judging a dataset.
+    Inspect,
     /// Rendering the virtual cell.
     Simulate,
     /// Detecting and describing keypoints, section 3.2.
@@ -27,6 +29,7 @@ impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Stage::Import => "import",
+            Stage::Inspect => "inspect",
             Stage::Simulate => "simulate",
             Stage::ExtractFeatures => "features",
             Stage::MatchPairs => "match",

@@ -4,6 +4,7 @@ pub mod compensate;
 pub mod evaluate;
 pub mod export;
 pub mod import;
+pub mod inspect;
 pub mod map;
 pub mod render;
 pub mod reproduce;

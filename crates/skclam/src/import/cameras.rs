@@ -155,10 +155,10 @@ impl Cameras {
         }
         if let (Some((root_a, root_from_color)), Some((root_b, root_from_depth))) =
             (self.to_root(&color_frame), self.to_root(&depth_frame))
+            && root_a == root_b
+            && !realsense_viewer
         {
-            if root_a == root_b && !realsense_viewer {
-                return Ok(root_from_color.inverse() * root_from_depth);
-            }
+            return Ok(root_from_color.inverse() * root_from_depth);
         }
         of_rig.ok_or_else(|| ImportError::Camera {
             camera: "depth",

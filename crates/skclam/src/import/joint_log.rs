@@ -57,8 +57,10 @@ pub fn read_joint_log(path: &Path, robot: &SerialChain, offset_s: f64) -> Result
         if stamp.abs() > 9e18 {
             return Err(wrong(line, "timestamp_s is beyond 9e9 s".to_owned()));
         }
-        let values =
-            columns.iter().map(|&(column, scale)| Ok(number(column)? * scale)).collect::<Result<Vec<_>, ImportError>>()?;
+        let values = columns
+            .iter()
+            .map(|&(column, scale)| Ok(number(column)? * scale))
+            .collect::<Result<Vec<_>, ImportError>>()?;
         track.push(stamp as i64, &values);
     }
     if track.is_empty() {

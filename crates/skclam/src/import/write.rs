@@ -63,11 +63,11 @@ pub(super) fn images(
             false => written.depth(topic, message.data, message.place, &name, staged),
         };
         progress.step();
-        result.or_else(|error| match error {
-            ImportError::Recording(error) => Err(error),
+        result.map_err(|error| match error {
+            ImportError::Recording(error) => error,
             other => {
                 failed = Some(other);
-                Err(RecordingError::Stopped)
+                RecordingError::Stopped
             }
         })
     });

@@ -1,0 +1,341 @@
+//! A dataset judged before any calibration: how the joints are covered, how sharp and how well exposed the images are,
+//! which postures should see the same, and what is likely to go wrong.
+
+use crate::dataset::{Dataset, DatasetError};
+use crate::pipeline::{ImagePair, PairingOptions, PredictedView, choose_pairs};
+use crate::progress::{Progress, Stage};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use skclam_kinematics::JointKind;
+use skclam_recordings::{Exposure, exposure, sharpness};
+use skclam_rig::{PostureState, RigError};
+
+/// From where on something is worth a warning.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InspectionOptions {
+    /// Prediction of what images share.
+    pub pairing: PairingOptions,
+    /// Fewer postures than this calibrate badly: the paper needed 30 for a tenth of a degree.
+    pub min_postures: usize,
+    /// A revolute joint that turns by less than this tells little of its parameters, degrees.
+    pub min_joint_range_deg: f64,
+    /// A prismatic joint that slides by less than this, millimetres.
+    pub min_joint_range_mm: f64,
+    /// An image with less than this share of the median sharpness is blurred.
+    pub min_relative_sharpness: f64,
+    /// A share of black or of white pixels beyond this is badly exposed.
+    pub max_clipped: f64,
+    /// A depth image with a smaller share of measured pixels is a poor one.
+    pub min_depth_share: f64,
+}
+
+impl Default for InspectionOptions {
+    fn default() -> Self {
+        InspectionOptions {
+            pairing: PairingOptions::default(),
+            min_postures: 30,
+            min_joint_range_deg: 15.0,
+            min_joint_range_mm: 50.0,
+            min_relative_sharpness: 0.4,
+            max_clipped: 0.25,
+            min_depth_share: 0.3,
+        }
+    }
+}
+
+/// How a joint is covered by the postures.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JointCoverage {
+    /// The joint's name.
+    pub joint: String,
+    /// "deg" or "mm".
+    pub unit: &'static str,
+    /// Least value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// Limits of the rig.
+    pub limits: Option<[f64; 2]>,
+    /// Values that differ by more than a tenth of the range.
+    pub distinct: usize,
+}
+
+/// An image as it is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ImageJudgement {
+    /// The posture's index.
+    pub index: u64,
+    /// Its file.
+    pub color: String,
+    /// Fine detail as a share of the contrast; to be compared within a dataset.
+    pub sharpness: f64,
+    /// Grey values.
+    pub exposure: Exposure,
+    /// Share of measured depth pixels.
+    pub depth_share: Option<f64>,
+    /// Median depth, metres.
+    pub median_depth_m: Option<f64>,
+}
+
+/// What a dataset promises.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Inspection {
+    /// Number of postures.
+    pub postures: usize,
+    /// One entry a joint; empty where only flange poses are known.
+    pub joints: Vec<JointCoverage>,
+    /// One entry a posture.
+    pub images: Vec<ImageJudgement>,
+    /// Pairs of postures (positions in the dataset) that should see the same, by the nominal rig.
+    pub pairs: Vec<ImagePair>,
+    /// Groups of postures that no pair connects, the largest first: each is its own island.
+    pub groups: Vec<Vec<usize>>,
+    /// What a person should hear of, each with advice.
+    pub warnings: Vec<String>,
+}
+
+/// Why a dataset could not be judged.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InspectionError {
+    /// An image.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A posture.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// It was asked to stop.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// Judges a dataset. Reads every image once.
+pub fn inspect(
+    dataset: &Dataset,
+    options: &InspectionOptions,
+    progress: &dyn Progress,
+) -> Result<Inspection, InspectionError> {
+    progress.begin(Stage::Inspect, dataset.len() as u64);
+    let looked: Vec<(ImageJudgement, PredictedView)> = (0..dataset.len())
+        .into_par_iter()
+        .map(|position| {
+            if progress.stop_requested() {
+                return Err(InspectionError::Stopped);
+            }
+            let looked = look(dataset, position, options)?;
+            progress.step();
+            Ok(looked)
+        })
+        .collect::<Result<_, InspectionError>>()?;
+    let (images, views): (Vec<ImageJudgement>, Vec<PredictedView>) = looked.into_iter().unzip();
+    let pairs = choose_pairs(&views, &dataset.rig.color, &options.pairing);
+    let groups = groups(dataset.len(), &pairs, options.pairing.min_overlap);
+    let joints = coverage(dataset);
+    let mut inspection = Inspection { postures: dataset.len(), joints, images, pairs, groups, warnings: vec![] };
+    inspection.warnings = warnings(dataset, &inspection, options);
+    Ok(inspection)
+}
+
+fn look(
+    dataset: &Dataset,
+    position: usize,
+    options: &InspectionOptions,
+) -> Result<(ImageJudgement, PredictedView), InspectionError> {
+    let record = &dataset.records[position];
+    let gray = dataset.gray(position)?;
+    let base_from_color = dataset.rig.base_from_color(&record.posture)?;
+    let (mut depth_share, mut median_depth_m) = (None, None);
+    let view = match (dataset.depth(position)?, &dataset.rig.depth) {
+        (Some(depth), Some(camera)) => {
+            let mut measured: Vec<f32> = depth.as_slice().iter().copied().filter(|&z| z > 0.0).collect();
+            depth_share = Some(measured.len() as f64 / depth.as_slice().len().max(1) as f64);
+            let middle = measured.len() / 2;
+            if !measured.is_empty() {
+                median_depth_m = Some(f64::from(*measured.select_nth_unstable_by(middle, f32::total_cmp).1));
+            }
+            PredictedView::from_depth(base_from_color, &depth, camera)
+        }
+        _ => PredictedView::from_assumed_depth(base_from_color, &dataset.rig.color, options.pairing.assumed_depth_m),
+    };
+    let judgement = ImageJudgement {
+        index: record.posture.index,
+        color: record.color.display().to_string(),
+        sharpness: sharpness(&gray),
+        exposure: exposure(&gray),
+        depth_share,
+        median_depth_m,
+    };
+    Ok((judgement, view))
+}
+
+fn coverage(dataset: &Dataset) -> Vec<JointCoverage> {
+    let Some(robot) = &dataset.rig.robot else { return vec![] };
+    let values = |joint: usize| {
+        dataset.records.iter().filter_map(move |record| match &record.posture.state {
+            PostureState::Joints(values) => values.get(joint).copied(),
+            PostureState::FlangePose(_) => None,
+        })
+    };
+    if values(0).next().is_none() {
+        return vec![];
+    }
+    let one = |(index, joint): (usize, &skclam_kinematics::Joint)| {
+        let (unit, scale) = if joint.kind == JointKind::Revolute { ("deg", 1f64.to_degrees()) } else { ("mm", 1e3) };
+        let mut sorted: Vec<f64> = values(index).map(|value| scale * value).collect();
+        sorted.sort_by(f64::total_cmp);
+        let (min, max) = (sorted[0], sorted[sorted.len() - 1]);
+        let apart = 0.1 * (max - min);
+        let mut last = f64::NEG_INFINITY;
+        let mut distinct = 0;
+        for value in sorted {
+            if value > last + apart {
+                (last, distinct) = (value, distinct + 1);
+            }
+        }
+        let limits = joint.limits.map(|limits| limits.map(|limit| scale * limit));
+        JointCoverage { joint: joint.name.clone(), unit, min, max, limits, distinct }
+    };
+    robot.joints().iter().enumerate().map(one).collect()
+}
+
+/// Connected components of the graph of pairs with enough overlap.
+fn groups(count: usize, pairs: &[ImagePair], min_overlap: f64) -> Vec<Vec<usize>> {
+    let mut root: Vec<usize> = (0..count).collect();
+    fn find(root: &mut [usize], mut at: usize) -> usize {
+        while root[at] != at {
+            root[at] = root[root[at]];
+            at = root[at];
+        }
+        at
+    }
+    for pair in pairs.iter().filter(|pair| pair.overlap >= min_overlap) {
+        let (a, b) = (find(&mut root, pair.a), find(&mut root, pair.b));
+        root[a.max(b)] = a.min(b);
+    }
+    let mut groups: Vec<Vec<usize>> = vec![vec![]; count];
+    for posture in 0..count {
+        let group = find(&mut root, posture);
+        groups[group].push(posture);
+    }
+    groups.retain(|group| !group.is_empty());
+    groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0]));
+    groups
+}
+
+fn warnings(dataset: &Dataset, inspection: &Inspection, options: &InspectionOptions) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let count = inspection.postures;
+    if count < options.min_postures {
+        warnings
+            .push(format!("{count} postures; {} or more, spread over the cell, calibrate well", options.min_postures));
+    }
+    if inspection.joints.is_empty() {
+        warnings.push("only flange poses are known: the mount can be calibrated, the arm cannot".to_owned());
+    }
+    for joint in &inspection.joints {
+        let (range, least) = (
+            joint.max - joint.min,
+            if joint.unit == "deg" { options.min_joint_range_deg } else { options.min_joint_range_mm },
+        );
+        if range < least {
+            warnings.push(format!(
+                "joint {} moves by {range:.1} {} only; let it move by {least} {} or more, or its parameters stay unknown",
+                joint.joint, joint.unit, joint.unit
+            ));
+        }
+        if let Some([lower, upper]) = joint.limits
+            && (joint.min < lower || joint.max > upper)
+        {
+            warnings.push(format!(
+                "joint {} goes from {:.1} to {:.1} {}, beyond its limits {lower:.1} to {upper:.1}; are units and order of the joints right?",
+                joint.joint, joint.min, joint.max, joint.unit
+            ));
+        }
+    }
+    let mut values: Vec<f64> = inspection.images.iter().map(|image| image.sharpness).collect();
+    values.sort_by(f64::total_cmp);
+    let median = values[values.len() / 2];
+    let mut list = |what: &str, advice: &str, bad: &dyn Fn(&ImageJudgement) -> bool| {
+        let found: Vec<String> =
+            inspection.images.iter().filter(|image| bad(image)).map(|image| image.index.to_string()).collect();
+        if !found.is_empty() {
+            const SHOWN: usize = 12;
+            let more = if found.len() > SHOWN { ", ..." } else { "" };
+            let shown = found[..found.len().min(SHOWN)].join(", ");
+            warnings.push(format!("{what} in {} of {count} postures ({shown}{more}); {advice}", found.len()));
+        }
+    };
+    list("blurred images", "let the arm stand before an image is taken", &|image| {
+        image.sharpness < options.min_relative_sharpness * median
+    });
+    list("underexposed images", "more light, or a longer exposure at a standstill", &|image| {
+        image.exposure.dark > options.max_clipped
+    });
+    list("overexposed images", "less light or a shorter exposure; avoid lamps in view", &|image| {
+        image.exposure.bright > options.max_clipped
+    });
+    list("images without contrast", "the camera must see textured things, not a bare wall", &|image| {
+        image.exposure.sd < 10.0
+    });
+    list("depth images that are mostly holes", "stay within the camera's range, off glass and mirrors", &|image| {
+        image.depth_share.is_some_and(|share| share < options.min_depth_share)
+    });
+    if dataset.rig.depth.is_none() {
+        warnings.push("there is no depth: no map can be made".to_owned());
+    }
+    if inspection.groups.len() > 1 {
+        let alone = inspection.groups.iter().filter(|group| group.len() == 1).count();
+        warnings.push(format!(
+            "by the nominal rig the postures see {} separate parts of the cell ({alone} postures see nothing that another sees); take postures between them",
+            inspection.groups.len()
+        ));
+    }
+    let partners = 2.0 * inspection.pairs.len() as f64 / count.max(1) as f64;
+    if partners < 3.0 {
+        warnings.push(format!(
+            "each posture shares its view with {partners:.1} others in the mean; 4 or more make errors visible"
+        ));
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair(a: usize, b: usize, overlap: f64) -> ImagePair {
+        ImagePair { a, b, overlap }
+    }
+
+    #[test]
+    fn islands_are_found_whatever_the_order_of_the_pairs() {
+        let pairs = [pair(3, 4, 0.5), pair(0, 2, 0.5), pair(2, 4, 0.1), pair(2, 3, 0.9)];
+        assert_eq!(groups(6, &pairs, 0.25), vec![vec![0, 2, 3, 4], vec![1], vec![5]]);
+        assert_eq!(groups(2, &[], 0.25), vec![vec![0], vec![1]]);
+    }
+
+    fn shared(name: &str) -> Option<Dataset> {
+        let beside = std::path::PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
+        let folder = std::env::var_os("SKCLAM_DATA").map_or(beside, std::path::PathBuf::from).join(name);
+        if !folder.is_dir() {
+            println!("skipped: {} is not there", folder.display());
+            return None;
+        }
+        Some(Dataset::open(folder).unwrap())
+    }
+
+    #[test]
+    fn a_good_dataset_has_one_island_and_a_bad_one_is_told_of() {
+        let Some(mut dataset) = shared("virtual-cell") else { return };
+        let options = InspectionOptions::default();
+        let good = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
+        assert_eq!((good.postures, good.joints.len(), good.images.len()), (48, 6, 48));
+        assert!(good.pairs.len() > 96 && good.groups[0].len() > 40, "{:?}", good.groups);
+        assert!(good.images.iter().all(|image| image.median_depth_m.is_some_and(|z| (0.1..3.0).contains(&z))));
+        dataset.records.truncate(3);
+        let bad = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
+        assert!(bad.warnings.iter().any(|warning| warning.starts_with("3 postures; 30 or more")), "{:?}", bad.warnings);
+        assert!(bad.warnings.len() > good.warnings.len());
+    }
+}
