@@ -61,7 +61,7 @@ impl Default for BundleOptions {
             priors: PriorPolicy::Auto,
             loss: Loss::Tukey(7.0),
             deviations: DeviationPolicy::Estimated,
-            max_iterations: 40,
+            max_iterations: 100,
             max_rounds: 12,
             max_deviations: 1200,
             leave_out_suspects: true,
