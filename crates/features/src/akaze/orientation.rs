@@ -73,8 +73,8 @@ pub(crate) fn main_direction(gradient: &[[f32; 2]], width: usize, x: usize, y: u
     }
     let windows = [window_sums(&sums[0], &disc.window), window_sums(&sums[1], &disc.window)];
     let mut best = ([0.0f32; 2], -1.0f32);
-    for i in 0..SLICES {
-        let sum = [windows[0][i], windows[1][i]];
+    for (&along_x, &along_y) in windows[0].iter().zip(&windows[1]) {
+        let sum = [along_x, along_y];
         let norm = sum[0] * sum[0] + sum[1] * sum[1];
         if norm > best.1 {
             best = (sum, norm);

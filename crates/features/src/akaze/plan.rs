@@ -48,7 +48,7 @@ impl Level {
     }
 
     /// Inverse of [`Level::to_image`].
-    pub(crate) fn from_image(&self, coordinate: f32) -> f32 {
+    pub(crate) fn level_from_image(&self, coordinate: f32) -> f32 {
         (coordinate - 0.5 * (self.ratio() - 1.0)) / self.ratio()
     }
 }
@@ -113,6 +113,6 @@ mod tests {
         assert_eq!(levels[0].to_image(7.0), 7.0);
         assert_eq!(levels[4].to_image(0.0), 0.5);
         assert_eq!(levels[8].to_image(1.0), 5.5);
-        assert_eq!(levels[8].from_image(5.5), 1.0);
+        assert_eq!(levels[8].level_from_image(5.5), 1.0);
     }
 }

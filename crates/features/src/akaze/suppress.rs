@@ -92,13 +92,13 @@ impl LevelMaxima {
 pub(crate) fn compete(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
     let reach = up.step as f32;
     for (p, beaten) in lower.kept.points.iter().zip(&mut lower.beaten_from_above) {
-        let at = [p.x, p.y].map(|c| up.from_image(low.to_image(c as f32)));
+        let at = [p.x, p.y].map(|c| up.level_from_image(low.to_image(c as f32)));
         *beaten = upper.kept.near(at, reach).any(|(j, _)| upper.kept.points[j].response > p.response);
     }
     // A pixel of the coarser level in pixels of the finer one: 1 within an octave, 2 between octaves.
     let reach = reach * up.ratio() / low.ratio();
     for (p, beaten) in upper.kept.points.iter().zip(&mut upper.beaten_from_below) {
-        let at = [p.x, p.y].map(|c| low.from_image(up.to_image(c as f32)));
+        let at = [p.x, p.y].map(|c| low.level_from_image(up.to_image(c as f32)));
         *beaten = lower
             .kept
             .near(at, reach)

@@ -1,5 +1,6 @@
 //! Which images to match with which: neighbours, as in the paper, or those that should see the same by the nominal rig.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
 
@@ -108,13 +109,8 @@ pub fn choose_pairs(views: &[PredictedView], camera: &PinholeCamera, options: &P
     match options.pairing {
         Pairing::Adjacent => chosen.extend((1..views.len()).map(|b| (b - 1, b))),
         Pairing::Overlap => {
-            let mut shared = vec![vec![0.0; views.len()]; views.len()];
-            for a in 0..views.len() {
-                for b in a + 1..views.len() {
-                    let value = mutual(a, b);
-                    (shared[a][b], shared[b][a]) = (value, value);
-                }
-            }
+            let row = |a: usize| (0..views.len()).map(|b| if a == b { 0.0 } else { mutual(a, b) }).collect();
+            let shared: Vec<Vec<f64>> = (0..views.len()).into_par_iter().map(row).collect();
             for (a, row) in shared.iter().enumerate() {
                 let mut partners: Vec<usize> =
                     (0..views.len()).filter(|&b| b != a && row[b] >= options.min_overlap).collect();
