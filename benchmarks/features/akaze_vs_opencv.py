@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
 """AKAZE of this crate against OpenCV's, in one run on the same images.
 
-    python3 benchmarks/features/akaze_vs_opencv.py [speed] [memory] [turn] [localization] [matches]
+    python3 benchmarks/features/akaze_vs_opencv.py [speed] [memory] [turn] [localization] [matches] [instructions]
 
-Without arguments everything is run. The script makes a virtual environment beside itself with OpenCV below version 5
+Without arguments everything is run. The script makes a virtual environment in `benchmarks/.venv` with OpenCV below version 5
 (which has no AKAZE any more) and numpy, builds the worker (`cargo build --release -p skclam-features --example
 akaze_worker`) and starts it as a process of its own. Data: `../shared/data`, or the folder in `SKCLAM_DATA`.
 Definitions of what is printed are in README.md.
 """
 
+import collections
 import os
 import pathlib
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,7 +22,7 @@ import time
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 DATA = pathlib.Path(os.environ.get("SKCLAM_DATA", ROOT.parent / "shared" / "data"))
-ENVIRONMENT = pathlib.Path(os.environ.get("SKCLAM_BENCH_VENV", HERE / ".venv"))
+ENVIRONMENT = pathlib.Path(os.environ.get("SKCLAM_BENCH_VENV", HERE.parent / ".venv"))
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 
 try:
@@ -39,9 +42,10 @@ RECORD = np.dtype([("keypoint", "<f4", 6), ("descriptor", "u1", 64)])
 class Ours:
     """The worker process."""
 
+    PATH = TARGET / "release" / "examples" / "akaze_worker"
+
     def __init__(self):
-        self.process = subprocess.Popen([TARGET / "release" / "examples" / "akaze_worker"], stdin=subprocess.PIPE,
-                                        stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen([self.PATH], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def ask(self, command):
         self.process.stdin.write(command + "\n")
@@ -318,10 +322,32 @@ def matches():
     print(f"sum: ours {sums[0]}, OpenCV {sums[1]}, ratio {sums[0] / sums[1]:.3f}; worst pair {worst:.3f}")
 
 
+def instructions():
+    print("## Instructions of one run on 1 thread with fresh buffers (callgrind), 1920x1080, in millions")
+    if not shutil.which("valgrind"):
+        print("skipped: valgrind is not installed")
+        return
+    out = SCRATCH / "callgrind.out"
+    subprocess.run(["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}", Ours.PATH], check=True, text=True,
+                   input=f"threads 1\nrun {speed_image()}\n", capture_output=True)
+    text = subprocess.run(["callgrind_annotate", "--threshold=100", out], check=True, text=True,
+                          capture_output=True).stdout
+    # Lines are "count (share) file:function [object]"; code inlined from elsewhere is added to its function.
+    sums = collections.Counter()
+    for count, function in re.findall(r"^ *([\d,]+) \(.*?\) +\S*?:(.*)$", text, re.MULTILINE):
+        found = re.search(r"skclam_features::akaze::(\w+)::(\w+)", function)
+        if found:
+            sums["::".join(found.groups())] += int(count.replace(",", ""))
+    for function, count in sums.most_common():
+        if count > 1e6:
+            print(f"{function:32} {count / 1e6:8.1f}")
+    print(f"{'sum of named functions':32} {sum(sums.values()) / 1e6:8.1f}")
+
+
 def main():
     subprocess.run(["cargo", "build", "--release", "-q", "-p", "skclam-features", "--example", "akaze_worker"],
                    check=True, cwd=ROOT)
-    parts = {f.__name__: f for f in (speed, memory, turn, localization, matches)}
+    parts = {f.__name__: f for f in (speed, memory, turn, localization, matches, instructions)}
     print(f"OpenCV {cv2.__version__}, {os.cpu_count()} processors")
     for name in sys.argv[1:] or parts:
         parts[name]()

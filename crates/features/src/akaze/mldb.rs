@@ -71,13 +71,7 @@ pub(crate) fn describe(image: &[f32], gradient: &[[f32; 2]], width: usize, squar
                 values[2][cell] = gx * co + gy * si;
             }
         }
-        for values in &values {
-            for (i, first) in values[..count].iter().enumerate() {
-                for second in &values[i + 1..count] {
-                    bits.push(first > second);
-                }
-            }
-        }
+        compare_pairs(&values, count, &mut bits);
     }
     Descriptor(bits.words)
 }
@@ -100,6 +94,22 @@ fn sample_positions(width: u32, square: Square, index: &mut [u32; SIDE * SIDE]) 
     }
 }
 
+/// For each channel the bits of all pairs `i < j < count`: whether value `i` is larger than value `j`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2"))]
+fn compare_pairs(values: &[[f32; 16]; 3], count: usize, bits: &mut BitWriter) {
+    for values in values {
+        for (i, &first) in values[..count - 1].iter().enumerate() {
+            // All sixteen comparisons at once, then those with a later value.
+            let mut larger = 0u32;
+            for (j, &second) in values.iter().enumerate() {
+                larger |= u32::from(first > second) << j;
+            }
+            let later = count - 1 - i;
+            bits.push(u64::from(larger >> (i + 1)) & ((1 << later) - 1), later);
+        }
+    }
+}
+
 /// Appends bits to the words of a descriptor.
 #[derive(Default)]
 struct BitWriter {
@@ -108,10 +118,15 @@ struct BitWriter {
 }
 
 impl BitWriter {
+    /// Appends the `n < 64` lowest bits; the others have to be 0.
     #[inline(always)]
-    fn push(&mut self, bit: bool) {
-        self.words[self.count >> 6] |= u64::from(bit) << (self.count & 63);
-        self.count += 1;
+    fn push(&mut self, bits: u64, n: usize) {
+        let (word, shift) = (self.count >> 6, self.count & 63);
+        self.words[word] |= bits << shift;
+        if shift + n > 64 {
+            self.words[word + 1] |= bits >> (64 - shift);
+        }
+        self.count += n;
     }
 }
 
