@@ -18,7 +18,7 @@ pub use error::FeaturesError;
 pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions, match_and_filter};
 pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
+pub use mask::{CameraFixed, MaskOptions, MaskOutcome, MatchedPair, find_camera_fixed, keep_unmasked};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
 pub use refine::{Pyramid, RefineOptions, Refined, Rejection, Seed, WarpModel, refine_matches};
 pub use tracks::{ImagePair, Observation, TrackOptions, TrackPoint, Tracks, build_tracks, refine_tracks};
-pub use mask::{CameraFixed, MaskOptions, MaskOutcome, MatchedPair, find_camera_fixed, keep_unmasked};

@@ -1,8 +1,8 @@
 //! The run itself, and its results as files.
 
 use super::{
-    Config, RunError, build_maps, calibrate, correspondences, drop_camera_fixed, extract_features, localize,
-    match_pairs, pairs_to_match, surface_agreement,
+    Config, ImageFeatures, MatchedPair, RunError, build_maps, calibrate, correspondences, drop_camera_fixed,
+    extract_features, localize, match_pairs, pairs_to_match, surface_agreement,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -141,6 +141,9 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         map: None,
         warnings: {
             told.extend(warnings(&calibration, pairs.len()));
+            if !calibration.warnings.iter().any(|warning| matches!(warning, Warning::NoBaseline { .. })) {
+                told.extend(identical_postures(dataset, &images, &pairs));
+            }
             told
         },
         configuration: config.clone(),
@@ -163,6 +166,21 @@ fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
         texts.push(format!("{few} of {pairs} pairs share hardly any matches; see \"pairs\" in summary.json"));
     }
     texts
+}
+
+/// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm (the
+/// paper's 73rd posture equals its first).
+fn identical_postures(dataset: &Dataset, images: &[ImageFeatures], pairs: &[MatchedPair]) -> Vec<String> {
+    const ONE_PLACE_M: f64 = 1e-4;
+    let center = |position: usize| images[position].view.base_from_color.translation.vector;
+    let index = |position: usize| dataset.records[position].posture.index;
+    let same =
+        pairs.iter().map(|matched| &matched.pair).filter(|pair| (center(pair.a) - center(pair.b)).norm() < ONE_PLACE_M);
+    same.map(|pair| {
+        let (a, b) = (index(pair.a), index(pair.b));
+        format!("postures {a} and {b} were taken from one place: without a baseline there is no epipolar geometry between them")
+    })
+    .collect()
 }
 
 /// Matches that keep farther from their lines than this in the median are not explained by the rig, px: keypoints are
