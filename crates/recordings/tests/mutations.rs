@@ -37,7 +37,7 @@ fn text(text: &str, terminated: bool) -> Vec<u8> {
 fn messages(cdr: bool) -> Vec<(&'static str, &'static str, Vec<u8>)> {
     let begin = || if cdr { vec![0u8, 1, 0, 0] } else { vec![] };
     let align = |bytes: &mut Vec<u8>, to: usize| {
-        while cdr && (bytes.len() - 4) % to != 0 {
+        while cdr && !(bytes.len() - 4).is_multiple_of(to) {
             bytes.push(0);
         }
     };
