@@ -226,7 +226,8 @@ impl Reader<'_> {
     }
 
     fn positive(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
-        if value.is_finite() && value > 0.0 {
+        // A subnormal number becomes 0 when millimetres become metres.
+        if value.is_normal() && value > 0.0 {
             Ok(value)
         } else {
             Err(self.value(key, format!("{value} given; a number above 0 is needed")))

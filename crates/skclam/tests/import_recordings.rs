@@ -23,6 +23,9 @@ const JOINTS: [[f64; 6]; 3] = [
     [0.36117929, 0.4106566, -0.78144002, -0.49215767, -1.06694996, 0.89251977],
 ];
 
+/// Joints, pixels and rig of a dataset.
+type Contents = (Vec<Vec<f64>>, Vec<Vec<u8>>, Rig);
+
 #[test]
 fn five_recordings_give_the_same_three_postures() {
     let (recordings, rig) = (data().join("recordings"), data().join("nachi-mz25/rig.toml"));

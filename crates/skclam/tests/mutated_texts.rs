@@ -213,3 +213,14 @@ fn mutated_texts_are_answered() {
         assert!(peak < MOST_MEMORY_MIB, "peak memory {peak} MiB");
     }
 }
+
+/// What the mutations have found.
+#[test]
+fn findings() {
+    let text = builtin_rig("franka-fr3").unwrap().unwrap().to_toml().unwrap();
+    let begin = text.find("unit_mm = ").unwrap();
+    let end = begin + text[begin..].find('\n').unwrap();
+    // 1e-320 mm is 0 m: it was read, and what was written of it was refused.
+    let tiny = format!("{}unit_mm = 1e-320{}", &text[..begin], &text[end..]);
+    assert!(Rig::from_toml(&tiny, "tiny").unwrap_err().to_string().contains("a number above 0 is needed"));
+}
