@@ -15,6 +15,7 @@ pub mod pipeline;
 pub mod progress;
 pub mod reproduction;
 pub mod summary;
+pub mod surface_evaluation;
 pub mod trajectory;
 pub mod virtual_cell;
 

@@ -35,9 +35,7 @@ fn five_recordings_give_the_same_three_postures() {
     }
     let rig = Rig::read(rig).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    /// Joints, images and rig of one recording.
-    type Imported = (Vec<Vec<f64>>, Vec<Vec<u8>>, Rig);
-    let mut first: Option<Imported> = None;
+    let mut first: Option<Contents> = None;
     for name in RECORDINGS {
         for color_topic in ["/camera/color/image_raw", "/camera/color/image_raw/compressed"] {
             let raw = color_topic.ends_with("raw");

@@ -39,7 +39,8 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     Ok(())
 }
 
-fn read(path: &Path) -> Result<Model> {
+/// Reads a cloud or a mesh.
+pub fn read(path: &Path) -> Result<Model> {
     let file = File::open(path).with_context(|| path.display().to_string())?;
     read_ply(BufReader::new(file)).with_context(|| path.display().to_string())
 }
