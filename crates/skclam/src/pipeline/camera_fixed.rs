@@ -3,6 +3,7 @@
 use super::{Config, ImageFeatures, ImagePair, RunError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use skclam_features::mask::is_kept;
 use skclam_features::{CameraFixed, MaskOutcome, MatchedPair, find_camera_fixed, match_descriptors};
 use skclam_geometry::{PinholeCamera, Pixel};
 
@@ -57,10 +58,7 @@ pub fn drop_camera_fixed(
     let mut dropped_keypoints = 0;
     if found.outcome == MaskOutcome::Found {
         for image in images {
-            dropped_keypoints += image.retain(|pixel| {
-                let (x, y) = (pixel.x.round().max(0.0) as u32, pixel.y.round().max(0.0) as u32);
-                found.mask.get_pixel_checked(x, y).is_some_and(|value| value.0[0] != 0)
-            });
+            dropped_keypoints += image.retain(|pixel| is_kept(&found.mask, pixel.x as f32, pixel.y as f32));
         }
     }
     let summary = CameraFixedSummary {
