@@ -104,4 +104,7 @@ pub enum CalibrationError {
     /// The chain refused a parameter.
     #[error(transparent)]
     Kinematics(#[from] KinematicsError),
+    /// The caller asked to stop.
+    #[error("interrupted")]
+    Interrupted,
 }

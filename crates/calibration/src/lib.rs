@@ -20,6 +20,7 @@ mod outcome;
 mod pairwise;
 mod pairwise_system;
 mod parameter;
+mod pose_covariance;
 mod prior;
 mod robust;
 mod sampson;
@@ -34,7 +35,10 @@ pub use correspondences::{
 pub use error::CalibrationError;
 pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};
-pub use held_out::{Comparison, CrossValidation, Fold, compare_models, cross_validate, neighbouring_folds};
+pub use held_out::{
+    Comparison, CrossValidation, Estimate, Fold, Rigs, compare_models, cross_validate, neighbouring_folds,
+    without_postures,
+};
 pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
 pub use model::{DepthCorrection, JointCorrection, Model};
 pub use mount_search::find_mount;
@@ -42,6 +46,7 @@ pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
 pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};
 pub use pairwise::{PairwiseOptions, Search, calibrate_pairwise, calibrate_pairwise_from};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
+pub use pose_covariance::{PoseCovariance, orientation_sigma_rad, pose_covariances, position_sigma_m};
 pub use prior::{PriorPolicy, default_sigma, stated_sigma};
 pub use robust::Loss;
 pub use termination::{StopReason, Termination};

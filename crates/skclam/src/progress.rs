@@ -19,6 +19,8 @@ pub enum Stage {
     BuildTracks,
     /// Estimating the rig, section 3.3.
     Calibrate,
+    /// Fitting without some postures and judging on them.
+    HoldOut,
     /// Fusing the depth images, section 4.1.2.
     Map,
     /// Comparing with a known truth.
@@ -35,6 +37,7 @@ impl fmt::Display for Stage {
             Stage::MatchPairs => "match",
             Stage::BuildTracks => "tracks",
             Stage::Calibrate => "calibrate",
+            Stage::HoldOut => "hold out",
             Stage::Map => "map",
             Stage::Evaluate => "evaluate",
         })

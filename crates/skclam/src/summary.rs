@@ -1,6 +1,9 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
-use crate::pipeline::{CameraFixedSummary, Config, MatchedPair, SurfaceAgreement, TrackSummary};
+use crate::pipeline::{
+    CameraFixedSummary, Config, HeldOutSummary, MatchedPair, PoseSigmaSummary, SurfaceAgreement, TrackSummary,
+    VerdictGrade,
+};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
     Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit,
@@ -16,6 +19,8 @@ pub struct Summary {
     pub version: String,
     /// The verdict in one sentence.
     pub verdict: String,
+    /// The same as a traffic light.
+    pub grade: VerdictGrade,
     /// The rig's name.
     pub rig: String,
     /// What came in.
@@ -32,6 +37,12 @@ pub struct Summary {
     pub tracks: Option<TrackSummary>,
     /// Residuals and parameters.
     pub calibration: CalibrationSummary,
+    /// Residuals on postures that the fit did not see; `null` where that could not be measured, see the warnings.
+    pub held_out: Option<HeldOutSummary>,
+    /// What is known of flange and camera at the recorded postures.
+    pub recorded_poses: Option<PoseSigmaSummary>,
+    /// The same over the workspace; `null` for flange poses.
+    pub workspace_poses: Option<PoseSigmaSummary>,
     /// The map; `null` without depth.
     pub map: Option<MapSummary>,
     /// What a person should hear of.

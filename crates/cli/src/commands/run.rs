@@ -145,6 +145,14 @@ pub fn show(summary: &Summary) {
             format!("{:.3}", after.median_px),
         ]);
     }
+    if let Some(held_out) = &summary.held_out {
+        let px = &held_out.figure_px;
+        let name = format!("held out: {}", held_out.figure);
+        table.add_row([name, format!("{:.3}", px.nominal), format!("{:.3}", px.calibrated)]);
+        if let Some(mount_only) = px.mount_only {
+            table.add_row(["  the same with the mount alone".to_owned(), String::new(), format!("{mount_only:.3}")]);
+        }
+    }
     if let Some((before, after)) = summary.map.and_then(|map| Some((map.agreement_nominal?, map.agreement_calibrated?)))
     {
         let mm = |value: f64| format!("{value:.2} mm");
@@ -152,6 +160,7 @@ pub fn show(summary: &Summary) {
         table.add_row(["depth images apart, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
     }
     println!("{table}\n");
+    show_poses(summary);
     let counts = &summary.counts;
     println!(
         "{} postures, {} pairs, {} keypoints, {} matches, {} tracks with {} observations",
@@ -185,6 +194,29 @@ pub fn show(summary: &Summary) {
     println!("Time: {wall:.1} s ({}), CPU {cpu:.1} s", list.join(", "));
     if let Some(memory) = summary.peak_memory_mib {
         println!("Peak memory: {memory:.0} MiB");
+    }
+}
+
+/// What is known of flange and camera.
+fn show_poses(summary: &Summary) {
+    let mut table = screen::table(&["expected error (sigma)", "mean", "max", "unit"]);
+    for (of, poses) in [("your postures", &summary.recorded_poses), ("the workspace", &summary.workspace_poses)] {
+        let Some(poses) = poses else { continue };
+        let rows = [
+            ("camera", poses.camera_sigma_mm, poses.camera_sigma_deg),
+            ("flange", poses.flange_sigma_mm, poses.flange_sigma_deg),
+        ];
+        for (frame, position, orientation) in rows {
+            for (unit, statistics) in [("mm", position), ("deg", orientation)] {
+                let Some(statistics) = statistics else { continue };
+                let number = |value: f64| format!("{value:.4}");
+                let name = format!("{frame} over {of}");
+                table.add_row([name, number(statistics.mean), number(statistics.max), unit.to_owned()]);
+            }
+        }
+    }
+    if table.row_count() > 0 {
+        println!("{table}\n");
     }
 }
 

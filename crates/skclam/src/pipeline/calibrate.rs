@@ -4,9 +4,10 @@ use super::{Config, Estimator, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use skclam_calibration::{
-    BundleOptions, Calibration, Correspondences, NelderMeadOptions, PairwiseOptions, calibrate_bundle,
-    calibrate_nelder_mead, calibrate_pairwise,
+    BundleOptions, Calibration, CalibrationError, Correspondences, Free, NelderMeadOptions, PairwiseOptions,
+    calibrate_bundle, calibrate_nelder_mead, calibrate_pairwise,
 };
+use skclam_rig::Rig;
 
 /// Estimates the rig.
 pub fn calibrate(
@@ -16,16 +17,24 @@ pub fn calibrate(
     progress: &dyn Progress,
 ) -> Result<Calibration, RunError> {
     progress.begin(Stage::Calibrate, 1);
-    let free = config.free.clone();
-    let calibration = match config.estimator {
-        Estimator::NelderMead => {
-            calibrate_nelder_mead(&dataset.rig, data, &NelderMeadOptions { free, ..config.nelder_mead.clone() })?
-        }
-        Estimator::Bundle => calibrate_bundle(&dataset.rig, data, &BundleOptions { free, ..config.bundle.clone() })?,
-        Estimator::Sampson => {
-            calibrate_pairwise(&dataset.rig, data, &PairwiseOptions { free, ..config.pairwise.clone() })?
-        }
-    };
+    let calibration = estimate(&dataset.rig, &config.free, data, config)?;
     progress.step();
     Ok(calibration)
+}
+
+/// The estimator that the configuration names, with some parameters free.
+pub(super) fn estimate(
+    nominal: &Rig,
+    free: &Free,
+    data: &Correspondences,
+    config: &Config,
+) -> Result<Calibration, CalibrationError> {
+    let free = free.clone();
+    match config.estimator {
+        Estimator::NelderMead => {
+            calibrate_nelder_mead(nominal, data, &NelderMeadOptions { free, ..config.nelder_mead.clone() })
+        }
+        Estimator::Bundle => calibrate_bundle(nominal, data, &BundleOptions { free, ..config.bundle.clone() }),
+        Estimator::Sampson => calibrate_pairwise(nominal, data, &PairwiseOptions { free, ..config.pairwise.clone() }),
+    }
 }

@@ -1,6 +1,6 @@
 //! Everything that can be set in a run. The values that were in force stand in every `summary.json`.
 
-use super::{Pairing, PairingOptions, Search};
+use super::{HeldOutOptions, Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{BundleOptions, Free, NelderMeadOptions, PairwiseOptions};
 use skclam_features::{AkazeOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions};
@@ -53,6 +53,8 @@ pub struct Config {
     pub pairwise: PairwiseOptions,
     /// Settings of the bundle adjustment; `free` above comes first.
     pub bundle: BundleOptions,
+    /// Judges the calibration on postures that it was not fitted to; `None`: not.
+    pub held_out: Option<HeldOutOptions>,
     /// Edge of the map's voxels, metres; `None`: what the depth camera resolves at the range at which it was used.
     pub voxel_m: Option<f64>,
     /// The map; `voxel_m` above comes first.
@@ -77,6 +79,7 @@ impl Default for Config {
             nelder_mead: NelderMeadOptions::default(),
             pairwise: PairwiseOptions::default(),
             bundle: BundleOptions::default(),
+            held_out: Some(HeldOutOptions::default()),
             voxel_m: None,
             cloud: CloudOptions::default(),
         }

@@ -1,8 +1,10 @@
 //! The run itself, and its results as files.
 
+use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
 use super::{
-    Config, ImageFeatures, MatchedPair, RunError, build_maps, calibrate, correspondences, drop_camera_fixed,
-    extract_features, localize, match_pairs, pairs_to_match, surface_agreement,
+    Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, ScaleSource, Verdict,
+    build_maps, calibrate, correspondences, drop_camera_fixed, extract_features, hold_out, localize, match_pairs,
+    pairs_to_match, pose_sigmas, surface_agreement,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -38,6 +40,8 @@ pub struct Outcome {
     pub trajectory: Vec<StampedPose>,
     /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of its own.
     pub mask: Option<GrayImage>,
+    /// What is known of flange and camera, at the recorded postures and over the workspace.
+    pub pose_sigmas: Vec<PoseSigma>,
     /// `None` without depth, or where no map was asked for.
     pub maps: Option<Maps>,
     /// Every figure.
@@ -104,6 +108,16 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         });
     }
     let calibration = calibrate(dataset, &data, config, progress)?;
+    let held_out = hold_out(dataset, &data, config, progress)?;
+    if let Err(reason) = &held_out {
+        told.push(format!("the calibration was not judged on held-out postures: {reason}"));
+    }
+    let held_out = held_out.ok();
+    let pose_sigmas = pose_sigmas(dataset, &calibration)?;
+    let [recorded_poses, workspace_poses] =
+        [PostureSource::Recorded, PostureSource::Workspace].map(|source| PoseSigmaSummary::of(&pose_sigmas, source));
+    let scale = ScaleSource::of(dataset, &data, &calibration);
+    let Verdict { grade, sentence } = Verdict::of(&calibration, held_out.as_ref(), recorded_poses.as_ref(), scale);
     let rig = calibration.model.corrected_rig();
     let trajectory = localize(dataset, &rig)?;
     let (mask, camera_fixed) = match camera_fixed {
@@ -114,7 +128,8 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
     let summary = Summary {
         program: "skclam".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        verdict: verdict(&calibration),
+        verdict: sentence,
+        grade,
         rig: dataset.rig.name.clone(),
         counts: Counts {
             postures: dataset.len(),
@@ -138,6 +153,9 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         camera_fixed,
         tracks,
         calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),
+        held_out,
+        recorded_poses,
+        workspace_poses,
         map: None,
         warnings: {
             told.extend(warnings(&calibration, pairs.len()));
@@ -151,7 +169,7 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         stages: Vec::new(),
         peak_memory_mib: None,
     };
-    Ok(Outcome { calibration, rig, trajectory, mask, maps: None, summary })
+    Ok(Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary })
 }
 
 /// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
@@ -203,36 +221,15 @@ fn identical_postures(dataset: &Dataset, images: &[ImageFeatures], pairs: &[Matc
     .collect()
 }
 
-/// Matches that keep farther from their lines than this in the median are not explained by the rig, px: keypoints are
-/// found to a fraction of a pixel, and poor intrinsics add a pixel or so.
-const UNEXPLAINED_PX: f64 = 2.0;
-
-/// One sentence that a person who is no expert understands.
-fn verdict(calibration: &Calibration) -> String {
-    let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
-    let change = format!(
-        "the median distance of a match to its epipolar line went from {:.2} to {:.2} px",
-        before.median_px, after.median_px
-    );
-    if after.median_px > UNEXPLAINED_PX {
-        format!(
-            "DO NOT TRUST this calibration: {change}, and above {UNEXPLAINED_PX} px the rig does not fit the images. \
-             Do images and joint values belong together? Are the intrinsics right? Are enough parameters free?"
-        )
-    } else if after.median_px < before.median_px {
-        format!("The calibrated rig explains the images better: {change}.")
-    } else {
-        format!(
-            "The calibrated rig explains the images NO better than the nominal one: {change}. Keep the nominal rig."
-        )
-    }
-}
-
 impl Outcome {
     /// Writes what `docs` promise of a run into a folder that is not yet published.
     pub fn write(&self, staged: &StagedFolder) -> Result<(), RunError> {
         staged.write("rig.toml", self.rig.to_toml()?)?;
         staged.write("trajectory.txt", trajectory_text(&self.trajectory))?;
+        staged.write("pose_sigmas.csv", pose_sigmas_csv(&self.pose_sigmas))?;
+        if let Some(table) = covariance_csv(&self.calibration) {
+            staged.write("covariance.csv", table)?;
+        }
         if let Some(mask) = &self.mask {
             let path = staged.path("mask.png")?;
             mask.save(&path).map_err(|error| DatasetError::Image { path, problem: error.to_string() })?;
