@@ -1,13 +1,16 @@
 //! Times exhaustive and guided matching; for `benchmarks/features/matching.py`, which holds the former against OpenCV's.
 //!
-//! Reads two files of raw descriptors (64 bytes each) and prints the time of each repetition in milliseconds: of
-//! exhaustive matching, and of guided matching along the epipolar lines of a camera that moves to the side and turns,
-//! keypoints spread over 1920 x 1080, half widths of the band 2, 5, 10 and 50 px. Threads: `RAYON_NUM_THREADS`.
+//! Reads two files of raw descriptors (64 bytes each) and prints the time of each repetition in milliseconds, by the
+//! wall clock and of the processor: of exhaustive matching, and of guided matching, keypoints spread over 1920 x 1080,
+//! for half widths of the band from 2 to 200 px. `side`: along the epipolar lines of a camera that moves to the side and
+//! turns; `ahead`: the epipole in the image; `depth`: to the side, and within 200 px of a predicted point, as in the
+//! pipeline. A fourth argument names the one kind to run, once, for counting instructions. Threads: `RAYON_NUM_THREADS`.
 
-use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
+use cpu_time::ProcessTime;
+use nalgebra::{Matrix3, Point2, Rotation3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
-use skclam_features::{DescribedPoints, Descriptor, FilterOptions, MatchOptions, Prediction};
-use skclam_features::{match_descriptors, match_guided};
+use skclam_features::{DescribedPoints, Descriptor, FeaturesError, FilterOptions, MatchOptions};
+use skclam_features::{PredictedPoints, Prediction, match_descriptors, match_guided};
 use std::time::Instant;
 
 fn read(path: &str) -> std::io::Result<Vec<Descriptor>> {
@@ -18,44 +21,54 @@ fn read(path: &str) -> std::io::Result<Vec<Descriptor>> {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [a, b, repetitions] = arguments.as_slice() else {
-        return Err("arguments: <descriptors of A> <descriptors of B> <repetitions>".into());
+    let (a, b, repetitions, only) = match arguments.as_slice() {
+        [a, b, repetitions] => (a, b, repetitions, None),
+        [a, b, repetitions, only] => (a, b, repetitions, Some(only)),
+        _ => return Err("arguments: <descriptors of A> <descriptors of B> <repetitions> [kind]".into()),
     };
     let (a, b) = (read(a)?, read(b)?);
-    let matching = MatchOptions { ratio: 0.8, ..MatchOptions::default() };
     let repetitions: usize = repetitions.parse()?;
-    for _ in 0..repetitions {
-        let start = Instant::now();
-        let found = match_descriptors(&a, &b, &matching)?;
-        println!("exhaustive {:.3} ms, {} matches", start.elapsed().as_secs_f64() * 1e3, found.matches.len());
-    }
+    let run = |kind: &str, run: &dyn Fn() -> Result<usize, FeaturesError>| -> Result<(), FeaturesError> {
+        if only.is_some_and(|only| only != kind) {
+            return Ok(());
+        }
+        for _ in 0..repetitions {
+            let (start, cpu) = (Instant::now(), ProcessTime::now());
+            let matches = run()?;
+            let [wall, cpu] = [start.elapsed(), cpu.elapsed()].map(|time| time.as_secs_f64() * 1e3);
+            println!("{kind} {wall:.3} ms {cpu:.3} ms of the processor, {matches} matches");
+        }
+        Ok(())
+    };
+    let matching = MatchOptions { ratio: 0.8, ..MatchOptions::default() };
+    run("exhaustive", &|| Ok(match_descriptors(&a, &b, &matching)?.matches.len()))?;
 
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let mut spread = |count: usize| -> Vec<Point2<f64>> {
         (0..count).map(|_| Point2::new(random.random::<f64>() * 1920.0, random.random::<f64>() * 1080.0)).collect()
     };
     let (positions_a, positions_b) = (spread(a.len()), spread(b.len()));
+    let predicted: Vec<Option<Point2<f64>>> =
+        positions_a.iter().map(|at| Some(at + Vector2::new(60.0, 25.0))).collect();
     let inverse = Matrix3::new(1e-3, 0.0, -0.96, 0.0, 1e-3, -0.54, 0.0, 0.0, 1.0);
     let turn = Rotation3::new(Vector3::new(0.02, -0.1, 0.15));
-    let fundamental = inverse.transpose() * Vector3::new(0.2, 0.05, 0.03).cross_matrix() * turn.matrix() * inverse;
-    for half_width in [2.0, 5.0, 10.0, 50.0] {
-        let options = FilterOptions {
-            matching: matching.clone(),
-            gate_px: Some(half_width),
-            ransac: None,
-            ..FilterOptions::default()
-        };
-        let prediction = Prediction { fundamental: Some(&fundamental), points: None };
-        for _ in 0..repetitions {
-            let start = Instant::now();
-            let found = match_guided(
-                DescribedPoints { descriptors: &a, positions: &positions_a },
-                DescribedPoints { descriptors: &b, positions: &positions_b },
-                &prediction,
-                &options,
-            )?;
-            let elapsed = start.elapsed().as_secs_f64() * 1e3;
-            println!("guided_{half_width} {elapsed:.3} ms, {} matches", found.matches.len());
+    let fundamental = |moved: Vector3<f64>| inverse.transpose() * moved.cross_matrix() * turn.matrix() * inverse;
+    let (side, ahead) = (fundamental(Vector3::new(0.2, 0.05, 0.03)), fundamental(Vector3::new(0.03, 0.02, 0.2)));
+    for (motion, fundamental, radius_px) in
+        [("side", &side, None), ("ahead", &ahead, None), ("depth", &side, Some(200.0))]
+    {
+        for half_width in [2.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0] {
+            let options = FilterOptions {
+                matching: matching.clone(),
+                gate_px: Some(half_width),
+                ransac: None,
+                ..FilterOptions::default()
+            };
+            let points = radius_px.map(|radius_px| PredictedPoints { in_b: &predicted, radius_px });
+            let prediction = Prediction { fundamental: Some(fundamental), points };
+            let a = DescribedPoints { descriptors: &a, positions: &positions_a };
+            let b = DescribedPoints { descriptors: &b, positions: &positions_b };
+            run(&format!("{motion}_{half_width}"), &|| Ok(match_guided(a, b, &prediction, &options)?.matches.len()))?;
         }
     }
     Ok(())

@@ -56,6 +56,14 @@ pub enum FeaturesError {
         /// The length that it must have.
         need: usize,
     },
+    /// More keypoints than an index of the search can tell apart.
+    #[error("an image has {got} keypoints, at most {max} can be matched along epipolar lines")]
+    TooManyKeypoints {
+        /// How many there are.
+        got: usize,
+        /// The limit.
+        max: usize,
+    },
     /// An index points past the end of what it indexes.
     #[error("{what} {index} does not exist, there are {count}")]
     NoSuchIndex {

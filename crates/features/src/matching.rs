@@ -5,8 +5,8 @@
 //! The filters that need positions, and the paper's whole chain in its order, are in [`filter`](crate::filter);
 //! matching along predicted epipolar lines is in [`guided`](crate::guided).
 
-mod kernel;
-mod nearest;
+pub(crate) mod kernel;
+pub(crate) mod nearest;
 
 pub use nearest::{Nearest, TwoNearest, two_nearest};
 

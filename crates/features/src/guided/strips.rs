@@ -1,276 +1,214 @@
-//! Keypoints sorted into strips, so that those near a line are a few stretches of memory.
+//! The keypoints of image B in blocks, so that those near a line or a point are few runs of blocks.
 //!
-//! The image is cut into strips across one direction ("across"), and within a strip the keypoints are sorted into bins
-//! along the perpendicular one ("along"). A line that runs more across than along passes each strip once; the band
-//! around it is there one run of bins, and the keypoints of a run lie side by side, descriptors included. The less a
-//! line slants, the fewer keypoints besides those of the band are met: the direction is that of most lines.
+//! Image B is cut into strips by the first coordinate of a [`Chart`]; in a strip the keypoints are sorted by the second,
+//! sixteen to a block. Strips are chosen such that a run holds little besides what is looked for and is still longer
+//! than its two ragged ends.
 
-use crate::{Descriptor, FeaturesError};
-use nalgebra::{Point2, Vector2, Vector3};
+use super::chart::{Chart, Interval};
+use crate::Descriptor;
+use crate::matching::nearest::{Block, LANES, Lanes, NO_KEY, words};
+use nalgebra::{Point2, Vector3};
+use rayon::prelude::*;
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::ops::Range;
 
-/// Width of a strip, px: wide enough that few strips are visited, narrow enough that a slanting line sweeps little.
-const STRIP_PX: f64 = 80.0;
-/// Height of a bin, px.
-const BIN_PX: f64 = 4.0;
-/// Strips and bins at most, which bounds the memory if a position is far outside of the image.
-const MAX_STRIPS: usize = 256;
-const MAX_BINS: usize = 2048;
-/// Slack of ranges, px; far more than the rounding of positions and far less than a threshold.
-const SLACK_PX: f64 = 1e-6;
+/// Strips at most.
+const MAX_STRIPS: usize = 64;
 
-/// The direction, of length one, that strips cut; `along` is it turned by a right angle.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Across(Vector2<f64>);
-
-impl Across {
-    /// The direction in which most of the lines (with unit normals, or zero) run.
-    pub(super) fn most(lines: &[Vector3<f64>]) -> Self {
-        // Doubled angles: a normal and its opposite are one line.
-        let (cosine, sine) = lines
-            .iter()
-            .fold((0.0, 0.0), |(c, s), line| (c + line.x * line.x - line.y * line.y, s + 2.0 * line.x * line.y));
-        let angle = 0.5 * f64::atan2(sine, cosine);
-        Across(Vector2::new(-angle.sin(), angle.cos()))
-    }
-
-    /// The direction at a right angle, for lines that run so.
-    pub(super) fn turned(self) -> Self {
-        Across(Vector2::new(-self.0.y, self.0.x))
-    }
-
-    /// Whether the line passes each strip at a slope of at most one.
-    pub(super) fn suits(self, line: &Vector3<f64>) -> bool {
-        let (across, along) = self.split(line.x, line.y);
-        along.abs() >= across.abs()
-    }
-
-    #[inline(always)]
-    fn split(self, x: f64, y: f64) -> (f64, f64) {
-        (self.0.x * x + self.0.y * y, self.0.x * y - self.0.y * x)
-    }
-}
-
-/// An interval, ends included.
+/// One single-precision number a lane.
 #[derive(Debug, Clone, Copy)]
-struct Range {
-    from: f64,
-    to: f64,
+#[repr(align(64))]
+pub(super) struct Floats(pub(super) [f32; LANES]);
+
+/// Where the keypoints of a block are, from the middle of image B, and their lines in image A, whose offsets count from
+/// the middle of image A.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Site {
+    pub(super) x: Floats,
+    pub(super) y: Floats,
+    pub(super) line_x: Floats,
+    pub(super) line_y: Floats,
+    pub(super) line_offset: Floats,
 }
 
-impl Range {
-    #[inline(always)]
-    fn and(self, other: Range) -> Self {
-        Range { from: self.from.max(other.from), to: self.to.min(other.to) }
-    }
-}
-
-/// A keypoint as the search meets it.
+/// A keypoint in full precision.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stored {
     /// Where it is, px.
     pub(super) at: Point2<f64>,
-    /// Its epipolar line in the other image, with unit normal.
+    /// Its epipolar line in the other image, with unit normal, or zero.
     pub(super) line: Vector3<f64>,
-    /// Its index.
-    pub(super) index: u32,
 }
 
-/// The keypoints of one image in strips.
+/// A strip: its blocks and what it spans.
+#[derive(Debug, Clone)]
+struct Strip {
+    blocks: Range<usize>,
+    /// Least and greatest u of its keypoints.
+    from: f64,
+    to: f64,
+}
+
+/// What is typically looked for, by which the strips are chosen.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reach {
+    /// Half width of the band, px; infinite for none.
+    pub(super) half_width_px: f64,
+    /// Radius about predicted points, if most keypoints have one.
+    pub(super) radius_px: Option<f64>,
+}
+
+/// The keypoints of image B, sorted.
 #[derive(Debug, Clone)]
 pub(super) struct Strips {
-    across: Across,
-    first_across: f64,
-    first_along: f64,
-    strip_px: f64,
-    strips_per_px: f64,
-    bins_per_px: f64,
-    strips: usize,
-    bins: usize,
-    /// Where each bin of each strip starts in the lists below; one more entry at the end.
-    starts: Vec<u32>,
-    /// Keypoints in the order of strips and bins, in a bin by index.
-    pub(super) stored: Vec<Stored>,
-    /// Their descriptors.
-    pub(super) descriptors: Vec<Descriptor>,
-    /// Their positions from `middle` in single precision, padded so that [`TOGETHER`] can always be read.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    middle: Point2<f64>,
-    /// What single precision can be wrong by in a distance to a line that passes near the keypoints, px.
-    rounding_px: f64,
-}
-
-/// Keypoints that are tested against a line at once.
-pub(super) const TOGETHER: usize = 16;
-
-/// A line for [`Strips::near`].
-#[derive(Debug, Clone, Copy)]
-pub(super) struct CoarseLine {
-    x: f32,
-    y: f32,
-    offset: f32,
-    half: f32,
+    pub(super) chart: Chart,
+    strips: Vec<Strip>,
+    /// Least and greatest v of each block.
+    ends: Vec<[f64; 2]>,
+    pub(super) blocks: Vec<Block>,
+    pub(super) sites: Vec<Site>,
+    /// Lane by lane; of lanes without a keypoint the number means nothing.
+    pub(super) stored: Vec<[Stored; LANES]>,
 }
 
 impl Strips {
-    /// Sorts keypoints, of which there is at least one; `line` makes the line of a position.
+    /// Sorts keypoints, of which there is at least one. `line` makes the line of a position in image A.
     pub(super) fn new(
-        across: Across,
+        chart: Chart,
         positions: &[Point2<f64>],
         descriptors: &[Descriptor],
-        line: impl Fn(&Point2<f64>) -> Vector3<f64>,
-    ) -> Result<Self, FeaturesError> {
-        let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
-        for position in positions {
-            let (x, y) = across.split(position.x, position.y);
-            low = (low.0.min(x), low.1.min(y));
-            high = (high.0.max(x), high.1.max(y));
+        reach: Reach,
+        middles: [Point2<f64>; 2],
+        line: impl Fn(&Point2<f64>) -> Vector3<f64> + Sync,
+    ) -> Self {
+        let places: Vec<[f64; 2]> =
+            positions.par_iter().with_min_len(1024).map(|position| chart.place(position)).collect();
+        let bounds = bounds(&chart, &places, reach);
+        let strip_of = |u: f64| bounds.partition_point(|bound| *bound <= u);
+        let mut order: Vec<(usize, f64, u32)> =
+            places.iter().zip(0..).map(|(&[u, v], index)| (strip_of(u), v, index)).collect();
+        order.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+
+        let mut strips = Vec::new();
+        let mut members: Vec<&[(usize, f64, u32)]> = Vec::new();
+        for strip in order.chunk_by(|a, b| a.0 == b.0) {
+            let us = strip.iter().map(|&(_, _, index)| places[index as usize][0]);
+            let (from, to) = us.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), u| (from.min(u), to.max(u)));
+            let first = members.len();
+            members.extend(strip.chunks(LANES));
+            strips.push(Strip { blocks: first..members.len(), from, to });
         }
-        let (wide, long) = (high.0 - low.0, high.1 - low.1);
-        if !(wide.is_finite() && long.is_finite()) {
-            let what = "the extent of the positions of keypoints";
-            return Err(FeaturesError::NotFinite { what, value: format!("{wide} x {long}") });
-        }
-        let strip_px = STRIP_PX.max(wide / (MAX_STRIPS - 1) as f64);
-        let bin_px = BIN_PX.max(long / (MAX_BINS - 1) as f64);
-        let mut sorted = Strips {
-            across,
-            first_across: low.0,
-            first_along: low.1,
-            strip_px,
-            strips_per_px: 1.0 / strip_px,
-            bins_per_px: 1.0 / bin_px,
-            strips: (wide / strip_px) as usize + 1,
-            bins: (long / bin_px) as usize + 1,
-            starts: Vec::new(),
-            stored: Vec::with_capacity(positions.len()),
-            descriptors: Vec::with_capacity(positions.len()),
-            x: Vec::with_capacity(positions.len() + TOGETHER),
-            y: Vec::with_capacity(positions.len() + TOGETHER),
-            middle: positions[positions.len() / 2],
-            // Two products and a sum of numbers up to twice the extent, each right to 2^-24 of itself.
-            rounding_px: (wide + long) * 2f64.powi(-19),
-        };
-        let mut order: Vec<(u32, u32)> = positions
-            .iter()
-            .zip(0..)
-            .map(|(position, index)| {
-                let (x, y) = across.split(position.x, position.y);
-                ((sorted.strip(x) * sorted.bins + sorted.bin(y)) as u32, index)
-            })
+        let ends = members.iter().map(|block| [block[0].1, block[block.len() - 1].1]).collect();
+        let made: Vec<(Block, (Site, [Stored; LANES]))> = members
+            .par_iter()
+            .with_min_len(64)
+            .map(|members| make_block(members, positions, descriptors, middles, &line))
             .collect();
-        order.sort_unstable();
-        sorted.starts = vec![0; sorted.strips * sorted.bins + 1];
-        for &(cell, index) in &order {
-            sorted.starts[cell as usize + 1] += 1;
-            let at = positions[index as usize];
-            sorted.stored.push(Stored { at, line: line(&at), index });
-            sorted.descriptors.push(descriptors[index as usize]);
-            sorted.x.push((at.x - sorted.middle.x) as f32);
-            sorted.y.push((at.y - sorted.middle.y) as f32);
-        }
-        sorted.x.resize(positions.len() + TOGETHER, 0.0);
-        sorted.y.resize(positions.len() + TOGETHER, 0.0);
-        for cell in 1..sorted.starts.len() {
-            sorted.starts[cell] += sorted.starts[cell - 1];
-        }
-        Ok(sorted)
+        let (blocks, (sites, stored)) = made.into_iter().unzip();
+        Strips { chart, strips, ends, blocks, sites, stored }
     }
 
-    #[inline(always)]
-    fn strip(&self, x: f64) -> usize {
-        // Casts of floats saturate: what is left of the first strip is in it.
-        (((x - self.first_across) * self.strips_per_px) as usize).min(self.strips - 1)
+    /// The strip of a coordinate u, or the nearest one.
+    pub(super) fn strip(&self, u: f64) -> usize {
+        self.strips.partition_point(|strip| strip.to < u).min(self.strips.len() - 1)
     }
 
-    #[inline(always)]
-    fn bin(&self, y: f64) -> usize {
-        (((y - self.first_along) * self.bins_per_px) as usize).min(self.bins - 1)
-    }
-
-    /// The line with unit normal (or zero) and the half width of its band, for [`Strips::near`].
-    #[inline(always)]
-    pub(super) fn coarse(&self, line: &Vector3<f64>, half: f64) -> CoarseLine {
-        let offset = line.x * self.middle.x + line.y * self.middle.y + line.z;
-        CoarseLine {
-            x: line.x as f32,
-            y: line.y as f32,
-            offset: offset as f32,
-            // The last bits of a line far away are no matter: it is far away.
-            half: ((half + self.rounding_px + 1e-6) * (1.0 + 1e-6)) as f32,
-        }
-    }
-
-    /// One bit for each of the [`TOGETHER`] keypoints stored from `start` on: whether it may be within the band; a
-    /// superset of those that are. Bits past the end of a run mean nothing.
-    #[inline(always)]
-    pub(super) fn near(&self, start: usize, line: &CoarseLine) -> u32 {
-        let lanes = start..start + TOGETHER;
-        let x: &[f32; TOGETHER] = self.x[lanes.clone()].try_into().expect("as many as asked for");
-        let y: &[f32; TOGETHER] = self.y[lanes].try_into().expect("as many as asked for");
-        let mut bits = [0u32; TOGETHER];
-        for lane in 0..TOGETHER {
-            let off = (line.x * x[lane] + line.y * y[lane] + line.offset).abs();
-            bits[lane] = if off <= line.half { 1 << lane } else { 0 };
-        }
-        bits.into_iter().fold(0, |near, bit| near | bit)
-    }
-
-    /// Visits the keypoints in reach as runs of the stored list: within `half` of the line and within the radius of the
-    /// point, and some more. For a zero line the point alone counts.
+    /// Visits the runs of blocks that may hold what lies within `across` (of u) and, for each strip, within the interval
+    /// of v that `wanted` gives for the u of the strip. No block is visited twice.
     #[inline(always)]
     pub(super) fn for_each_run(
         &self,
-        line: &Vector3<f64>,
-        half: f64,
-        near: Option<(Point2<f64>, f64)>,
-        mut visit: impl FnMut(std::ops::Range<usize>),
+        across: [f64; 2],
+        wanted: impl Fn(f64, f64) -> Interval,
+        mut visit: impl FnMut(Range<usize>),
     ) {
-        let mut crossed = Range { from: f64::NEG_INFINITY, to: f64::INFINITY };
-        let mut window = crossed;
-        if let Some((point, radius)) = near {
-            let (across, along) = self.across.split(point.x, point.y);
-            crossed = Range { from: across - radius - SLACK_PX, to: across + radius + SLACK_PX };
-            window = Range { from: along - radius - SLACK_PX, to: along + radius + SLACK_PX };
-        }
-        let length = self.bins as f64;
-        let last_across = self.first_across + self.strips as f64 * self.strip_px;
-        crossed = crossed.and(Range { from: self.first_across, to: last_across });
-
-        // From here on heights are in bins. The line: along = start + slope * across.
-        let in_bins = |y: f64| (y - self.first_along) * self.bins_per_px;
-        let window = Range { from: in_bins(window.from), to: in_bins(window.to) }.and(Range { from: 0.0, to: length });
-        let (across, along) = self.across.split(line.x, line.y);
-        let (start, slope, half) = if along == 0.0 {
-            (0.0, 0.0, f64::INFINITY)
-        } else {
-            let slope = -across / along * self.bins_per_px;
-            let half = (half / along.abs() + SLACK_PX) * self.bins_per_px;
-            (in_bins(-line.z / along), slope, half)
-        };
-        // A slanting line leaves the image early.
-        if slope != 0.0 && half.is_finite() {
-            let ends = [(-half - start) / slope, (length + half - start) / slope];
-            crossed = crossed.and(Range { from: ends[0].min(ends[1]), to: ends[0].max(ends[1]) });
-        }
-        if crossed.from > crossed.to || window.from > window.to {
-            return;
-        }
-        let rise = slope * self.strip_px;
-        let (lower, upper) = (rise.min(0.0) - half, rise.max(0.0) + half);
-        for strip in self.strip(crossed.from)..self.strip(crossed.to) + 1 {
-            let at = start + slope * (self.first_across + strip as f64 * self.strip_px);
-            let range = Range { from: at + lower, to: at + upper }.and(window);
-            if range.from > range.to {
+        let first = self.strips.partition_point(|strip| strip.to < across[0]);
+        for strip in self.strips[first..].iter().take_while(|strip| strip.from <= across[1]) {
+            let Interval { centre, half } = wanted(strip.from.max(across[0]), strip.to.min(across[1]));
+            if half.is_infinite() || (self.chart.is_circular() && half >= FRAC_PI_2) {
+                visit(strip.blocks.clone());
                 continue;
             }
-            let bins = &self.starts[strip * self.bins..(strip + 1) * self.bins + 1];
-            let last = (range.to as u32 as usize).min(self.bins - 1);
-            let first = (range.from as u32 as usize).min(last);
-            let run = bins[first] as usize..bins[last + 1] as usize;
-            if !run.is_empty() {
+            let run = self.run(strip, centre - half, centre + half);
+            if !self.chart.is_circular() {
                 visit(run);
+                continue;
+            }
+            // The rest of the interval beyond an end of the circle.
+            let low = self.run(strip, centre - half - PI, centre + half - PI);
+            let high = self.run(strip, centre - half + PI, centre + half + PI);
+            let others = if low.is_empty() { high } else { low };
+            if !others.is_empty() && others.start < run.end && run.start < others.end {
+                visit(others.start.min(run.start)..others.end.max(run.end));
+            } else {
+                visit(run);
+                visit(others);
             }
         }
     }
+
+    #[inline(always)]
+    fn run(&self, strip: &Strip, from: f64, to: f64) -> Range<usize> {
+        let ends = &self.ends[strip.blocks.clone()];
+        let first = ends.partition_point(|end| end[1] < from);
+        let count = ends[first..].partition_point(|end| end[0] <= to);
+        strip.blocks.start + first..strip.blocks.start + first + count
+    }
+}
+
+/// Where one strip ends and the next begins, ascending.
+fn bounds(chart: &Chart, places: &[[f64; 2]], reach: Reach) -> Vec<f64> {
+    let (low, high) =
+        places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &[u, _]| (low.min(u), high.max(u)));
+    // Keypoints a square pixel, as if they filled a square.
+    let density = places.len() as f64 / (high - low).max(1.0).powi(2);
+    let lanes = LANES as f64;
+    if let Some(radius) = reach.radius_px {
+        // A run of `2 half` times the length of a strip is looked at beyond either end of the disc, and each strip has
+        // ragged ends of about a block: the least sum of both.
+        let half = reach.half_width_px.min(radius);
+        let length = (2.0 * radius * lanes / (density * 2.0 * half)).sqrt().max((high - low) / MAX_STRIPS as f64);
+        let count = ((high - low) / length).ceil().clamp(1.0, MAX_STRIPS as f64);
+        return (1..count as usize).map(|strip| low + (high - low) * strip as f64 / count).collect();
+    }
+    // Parallel bands need no strips. About the epipole they need them in proportion to the distance: within a strip the
+    // interval is as wide as it must be for the near end. `n` strips look at `1 + ln(ratio) / 2n` times what they
+    // must and have `n` ragged ends.
+    let near = low.max(reach.half_width_px);
+    if matches!(chart, Chart::Straight { .. }) || near >= high {
+        return Vec::new();
+    }
+    let candidates = 2.0 * reach.half_width_px * density * (high - low);
+    let spread = (high / near).ln();
+    let count = (candidates * spread / (2.0 * lanes)).sqrt().ceil().clamp(1.0, MAX_STRIPS as f64);
+    let first = if near > low { 0 } else { 1 };
+    (first..count as usize).map(|strip| near * (spread * strip as f64 / count).exp()).collect()
+}
+
+fn make_block(
+    members: &[(usize, f64, u32)],
+    positions: &[Point2<f64>],
+    descriptors: &[Descriptor],
+    [middle_a, middle_b]: [Point2<f64>; 2],
+    line: &impl Fn(&Point2<f64>) -> Vector3<f64>,
+) -> (Block, (Site, [Stored; LANES])) {
+    let zero = Floats([0.0; LANES]);
+    let mut block = Block { words: [Lanes([0; LANES]); 16], tags: Lanes([NO_KEY; LANES]) };
+    let mut site = Site { x: zero, y: zero, line_x: zero, line_y: zero, line_offset: zero };
+    let mut stored = [Stored { at: Point2::origin(), line: Vector3::zeros() }; LANES];
+    for (lane, &(_, _, index)) in members.iter().enumerate() {
+        let at = positions[index as usize];
+        let line = line(&at);
+        stored[lane] = Stored { at, line };
+        block.tags.0[lane] = index;
+        for (word, value) in words(&descriptors[index as usize]).into_iter().enumerate() {
+            block.words[word].0[lane] = value;
+        }
+        site.x.0[lane] = (at.x - middle_b.x) as f32;
+        site.y.0[lane] = (at.y - middle_b.y) as f32;
+        site.line_x.0[lane] = line.x as f32;
+        site.line_y.0[lane] = line.y as f32;
+        site.line_offset.0[lane] = (line.x * middle_a.x + line.y * middle_a.y + line.z) as f32;
+    }
+    (block, (site, stored))
 }

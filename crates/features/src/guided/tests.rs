@@ -1,5 +1,6 @@
 use super::*;
-use crate::MatchOptions;
+use crate::{Descriptor, MatchOptions};
+use nalgebra::Vector3;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -104,6 +105,10 @@ proptest! {
             near && (!with_lines || gate.passes(&a.positions[i], &b.positions[j]))
         };
         prop_assert_eq!(&found.matches, &plain([a, b], admitted, &options.matching));
+        let gate = with_lines.then_some(&gate);
+        let on = |kernel| search::nearest_admitted(a, b, gate, points, kernel).unwrap();
+        let portable = on(kernel::Kernel::Portable);
+        prop_assert!(kernel::available().into_iter().all(|kernel| on(kernel) == portable));
         if with_lines && radius.is_none() {
             // Nothing that matching everything and gating finds is missed.
             let after = match_and_filter(a, b, Some(&matrix), &options).unwrap();
@@ -114,6 +119,53 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn more_keypoints_than_a_block_holds_and_the_motions_of_an_arm() {
+    // To the side, ahead (epipole in the image), about the axis; large enough for many strips, blocks and bands.
+    let scene = scene(1300, 1500, 4);
+    let [a, b] = scene.points();
+    for (at, turn) in
+        [([0.3, 0.0, 0.0], 0.0), ([0.0, 0.3, 1e-7], 0.4), ([0.02, -0.01, 0.3], -0.2), ([0.1, 0.2, 0.1], 1.5)]
+    {
+        let matrix = fundamental(at, turn);
+        for (half_width, radius_px) in
+            [(1.0, None), (12.0, None), (90.0, None), (12.0, Some(60.0)), (150.0, Some(50.0))]
+        {
+            let gate = Gate::new(&matrix, half_width).unwrap().unwrap();
+            let expected: Vec<Option<Point2<f64>>> = a
+                .positions
+                .iter()
+                .enumerate()
+                .map(|(i, p)| (i % 5 != 0).then(|| p + nalgebra::Vector2::new(9.0, 9.0)))
+                .collect();
+            let points = radius_px.map(|radius_px| PredictedPoints { in_b: &expected, radius_px });
+            let options = FilterOptions { gate_px: Some(half_width), best: None, ransac: None, ..Default::default() };
+            let prediction = Prediction { fundamental: Some(&matrix), points };
+            let found = match_guided(a, b, &prediction, &options).unwrap();
+            let admitted = |i: usize, j: usize| {
+                let near = radius_px
+                    .zip(expected[i])
+                    .is_none_or(|(radius, p)| (b.positions[j] - p).norm_squared() <= radius * radius);
+                near && gate.passes(&a.positions[i], &b.positions[j])
+            };
+            assert_eq!(found.matches, plain([a, b], admitted, &options.matching), "{at:?} {half_width} {radius_px:?}");
+        }
+    }
+}
+
+#[test]
+fn lines_that_do_not_meet_in_a_point_are_searched_too() {
+    let scene = scene(300, 300, 9);
+    let [a, b] = scene.points();
+    // Of full rank: no epipole.
+    let matrix = fundamental([0.1, 0.2, 0.3], 0.3) + Matrix3::new(1e-7, 0.0, 0.0, 0.0, -2e-7, 0.0, 0.0, 0.0, 0.01);
+    let options = FilterOptions { gate_px: Some(30.0), best: None, ransac: None, ..Default::default() };
+    let gate = Gate::new(&matrix, 30.0).unwrap().unwrap();
+    let found = match_guided(a, b, &Prediction { fundamental: Some(&matrix), points: None }, &options).unwrap();
+    let admitted = |i: usize, j: usize| gate.passes(&a.positions[i], &b.positions[j]);
+    assert_eq!(found.matches, plain([a, b], admitted, &options.matching));
 }
 
 #[test]

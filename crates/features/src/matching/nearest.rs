@@ -15,13 +15,13 @@ use crate::Descriptor;
 use rayon::prelude::*;
 
 /// Descriptors of the second set that are compared at once.
-pub(super) const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 /// Descriptors of the first set that share one walk over the second.
-pub(super) const ROWS: usize = 4;
+pub(crate) const ROWS: usize = 4;
 /// Bits of a key that hold an index; the distance of at most 512 needs the ten above.
-pub(super) const INDEX_BITS: u32 = 22;
+pub(crate) const INDEX_BITS: u32 = 22;
 /// The key that is worse than every candidate.
-pub(super) const NO_KEY: u32 = u32::MAX;
+pub(crate) const NO_KEY: u32 = u32::MAX;
 /// Blocks of [`LANES`] descriptors that are walked together: 128 KiB of descriptors and 16 KiB of column state.
 const BLOCKS_PER_STRETCH: usize = 128;
 /// Rows in the smallest band: fewer, and merging the columns would show.
@@ -32,29 +32,29 @@ const MAX_BANDS: usize = 64;
 /// One `u32` a lane, aligned for the widest vector.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub(super) struct Lanes(pub(super) [u32; LANES]);
+pub(crate) struct Lanes(pub(crate) [u32; LANES]);
 
 /// The two smallest keys of each lane, the smallest first.
-pub(super) type Best = [Lanes; 2];
+pub(crate) type Best = [Lanes; 2];
 
 /// [`LANES`] descriptors, transposed: word `w` of all of them side by side.
 #[derive(Debug, Clone)]
-pub(super) struct Block {
-    pub(super) words: [Lanes; 16],
+pub(crate) struct Block {
+    pub(crate) words: [Lanes; 16],
     /// Index within the stretch, [`NO_KEY`] for lanes without a descriptor.
-    pub(super) tags: Lanes,
+    pub(crate) tags: Lanes,
 }
 
 /// Descriptors of the first set with what their keys in the columns carry ([`NO_KEY`] for a missing row).
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub(super) struct RowGroup {
-    pub(super) words: [[u32; 16]; ROWS],
-    pub(super) tags: [u32; ROWS],
+pub(crate) struct RowGroup {
+    pub(crate) words: [[u32; 16]; ROWS],
+    pub(crate) tags: [u32; ROWS],
 }
 
 /// No candidate yet.
-pub(super) const NO_BEST: Best = [Lanes([NO_KEY; LANES]); 2];
+pub(crate) const NO_BEST: Best = [Lanes([NO_KEY; LANES]); 2];
 
 /// The nearest descriptor of another set, and how far the second nearest is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -165,7 +165,7 @@ fn transposed(descriptors: &[Descriptor]) -> Vec<Block> {
 }
 
 /// A descriptor as 16 words of 32 bits.
-fn words(descriptor: &Descriptor) -> [u32; 16] {
+pub(crate) fn words(descriptor: &Descriptor) -> [u32; 16] {
     std::array::from_fn(|word| (descriptor.0[word / 2] >> (word % 2 * 32)) as u32)
 }
 
@@ -203,7 +203,7 @@ fn search_band(band: &[Descriptor], blocks: &[Block], kernel: Kernel) -> (Vec<Pa
 }
 
 /// The two smallest keys over all lanes.
-fn two_smallest(best: &Best) -> [u32; 2] {
+pub(crate) fn two_smallest(best: &Best) -> [u32; 2] {
     let mut smallest = [NO_KEY; 2];
     for (&first, &second) in best[0].0.iter().zip(&best[1].0) {
         // Of one lane, the second can only matter if its first is among the two smallest.
