@@ -30,6 +30,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Calibrate(args) => commands::run::run(cli, args, commands::run::Extent::CalibrationOnly),
         Command::Map(args) => commands::map::map(cli, args),
         Command::Evaluate(args) => commands::evaluate::evaluate(cli, args),
+        Command::Validate(args) => commands::validate::validate(cli, args),
         Command::Simulate(args) => commands::simulate::simulate(cli, args),
         Command::Render(args) => commands::render::render(cli, args),
         Command::Reproduce(args) => commands::reproduce::reproduce(cli, args),

@@ -21,6 +21,8 @@ pub enum Stage {
     Calibrate,
     /// Fitting without some postures and judging on them.
     HoldOut,
+    /// Measuring a rig on a recording that it was not fitted to.
+    Validate,
     /// Fusing the depth images, section 4.1.2.
     Map,
     /// Comparing with a known truth.
@@ -38,6 +40,7 @@ impl fmt::Display for Stage {
             Stage::BuildTracks => "tracks",
             Stage::Calibrate => "calibrate",
             Stage::HoldOut => "hold out",
+            Stage::Validate => "validate",
             Stage::Map => "map",
             Stage::Evaluate => "evaluate",
         })

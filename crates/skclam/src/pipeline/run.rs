@@ -1,10 +1,10 @@
 //! The run itself, and its results as files.
 
+use super::gather::{Gathered, gather};
 use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
 use super::{
     Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, ScaleSource, Verdict,
-    build_maps, calibrate, correspondences, drop_camera_fixed, extract_features, hold_out, localize, match_pairs,
-    pairs_to_match, pose_sigmas, surface_agreement,
+    build_maps, calibrate, hold_out, localize, pose_sigmas, surface_agreement,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -88,25 +88,7 @@ const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let mut images = extract_features(dataset, config, progress)?;
-    let chosen = pairs_to_match(&images, &dataset.rig.color, config);
-    let camera_fixed = match dataset.rig.color_mask {
-        // The user's word comes before what can be found.
-        Some(_) => None,
-        None => drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?,
-    };
-    let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
-    let (data, tracks, mut told) = correspondences(dataset, &images, &pairs, config, progress)?;
-    if data.match_count() == 0 {
-        let total = total_counts(&pairs);
-        return Err(RunError::NoMatches {
-            images: images.len(),
-            keypoints: images.iter().map(|image| image.features.keypoints.len()).sum(),
-            candidates: total.candidates,
-            after_ratio: total.after_ratio.unwrap_or(total.candidates),
-            matches: 0,
-        });
-    }
+    let Gathered { images, pairs, data, tracks, mut told, camera_fixed } = gather(dataset, config, progress)?;
     let calibration = calibrate(dataset, &data, config, progress)?;
     let held_out = hold_out(dataset, &data, config, progress)?;
     if let Err(reason) = &held_out {

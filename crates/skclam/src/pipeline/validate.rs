@@ -1,0 +1,118 @@
+//! A rig on a recording that it was not fitted to: another day, other postures, the camera taken off and put back.
+
+use super::gather::{Gathered, gather};
+use super::{Config, RunError, SurfaceAgreement, localize, surface_agreement};
+use crate::dataset::Dataset;
+use crate::progress::{Progress, Stage};
+use serde::{Deserialize, Serialize};
+use skclam_calibration::{
+    BundleOptions, Correspondences, DeviationPolicy, EpipolarStatistics, Fold, Free, Model, PriorPolicy,
+    ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
+};
+use skclam_geometry::Isometry3;
+use skclam_rig::Rig;
+
+/// How a rig fares beside the nominal one of the data set.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// The judgement in one sentence.
+    pub verdict: String,
+    /// Name of the rig under test.
+    pub rig: String,
+    /// What was fitted anew on this recording, for both rigs alike; "" for nothing.
+    pub refit: String,
+    /// Postures of the recording.
+    pub postures: usize,
+    /// Pair matches.
+    pub matches: usize,
+    /// Sights of points followed over several images.
+    pub observations: usize,
+    /// By which figure rigs are judged: "reprojection, RMS" or "epipolar distance, median".
+    pub figure: String,
+    /// That figure, px: the nominal rig of the data set and (as `calibrated`) the rig under test.
+    pub figure_px: Rigs<f64>,
+    /// Reprojection over the sights that fit one of the rigs.
+    pub reprojection: Rigs<ReprojectionStatistics>,
+    /// Epipolar distances of the pair matches.
+    pub epipolar: Rigs<EpipolarStatistics>,
+    /// How far apart the depth images are; `null` without depth.
+    pub depth_agreement: Option<Rigs<SurfaceAgreement>>,
+    /// What a person should hear of.
+    pub warnings: Vec<String>,
+}
+
+/// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to the data set first, and
+/// nothing else: `mount` after the camera was taken off.
+pub fn validate(
+    dataset: &Dataset,
+    rig: &Rig,
+    refit: Option<&Free>,
+    config: &Config,
+    progress: &dyn Progress,
+) -> Result<Validation, RunError> {
+    let Gathered { data, told, .. } = gather(dataset, config, progress)?;
+    progress.begin(Stage::Validate, 2);
+    let fitted = |rig: &Rig| -> Result<Model, RunError> {
+        let model = match refit {
+            None => Model::new(rig.clone()),
+            Some(free) => refitted(rig, free, &data, config)?,
+        };
+        progress.step();
+        Ok(model)
+    };
+    let (nominal, tested) = (fitted(&dataset.rig)?, fitted(rig)?);
+    let everything: Vec<usize> = (0..dataset.len()).collect();
+    let models = Rigs { nominal: &nominal, mount_only: None, calibrated: &tested };
+    let comparison = compare_models(models, &data, &everything, SIGMA_PX)?;
+    let fold = Fold { held_out: everything, comparison };
+    let figure_px = fold.figure_px();
+    let figure = if comparison.reprojection.calibrated.observations > 0 {
+        "reprojection, RMS"
+    } else {
+        "epipolar distance, median"
+    };
+    let poses = |rig: &Rig| -> Result<Vec<Isometry3>, RunError> {
+        Ok(localize(dataset, rig)?.into_iter().map(|stamped| stamped.base_from_camera).collect())
+    };
+    let (nominal_poses, tested_poses) = (poses(&nominal.rig)?, poses(&tested.rig)?);
+    let [before, after] = surface_agreement(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
+    let refit = refit.map(Free::to_string).unwrap_or_default();
+    Ok(Validation {
+        verdict: verdict(figure, figure_px, &refit),
+        rig: rig.name.clone(),
+        refit,
+        postures: dataset.len(),
+        matches: data.match_count(),
+        observations: data.observation_count(),
+        figure: figure.to_owned(),
+        figure_px,
+        reprojection: comparison.reprojection,
+        epipolar: comparison.epipolar,
+        depth_agreement: before.zip(after).map(|(nominal, calibrated)| Rigs { nominal, mount_only: None, calibrated }),
+        warnings: told,
+    })
+}
+
+/// Expected sigma of a sight, px: only for the gate beyond which a sight that fits neither rig counts as a wrong match.
+const SIGMA_PX: f64 = 1.0;
+
+fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> Result<Model, RunError> {
+    let options = BundleOptions {
+        free: free.clone(),
+        // What is refitted has moved: its old value says nothing of the new one.
+        priors: PriorPolicy::Never,
+        deviations: DeviationPolicy::Off,
+        ..config.bundle.clone()
+    };
+    Ok(calibrate_bundle(rig, data, &options)?.model)
+}
+
+fn verdict(figure: &str, px: Rigs<f64>, refit: &str) -> String {
+    let with = if refit.is_empty() { String::new() } else { format!(", after fitting {refit} of both anew") };
+    let figures = format!("{figure}: {:.2} px, the data set's own rig {:.2} px{with}", px.calibrated, px.nominal);
+    if px.calibrated < px.nominal {
+        format!("The rig holds on this recording ({figures}).")
+    } else {
+        format!("The rig does NOT beat the data set's own on this recording ({figures}).")
+    }
+}
