@@ -28,6 +28,28 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
         73
     );
 
+    // Judged on postures that the fit did not see, beside the nominal rig and the mount alone.
+    let held_out = |rig: &str| number(&summary, &format!("/held_out/figure_px/{rig}"));
+    assert!(held_out("calibrated") < 0.2 * held_out("mount_only"), "{}", summary["held_out"]);
+    assert_eq!(summary["held_out"]["folds"].as_array().unwrap().len(), 6);
+    assert_eq!(summary["grade"], "good");
+    // What the camera's position is told to be off by is what the calibration moved it by.
+    assert!(number(&summary, "/recorded_poses/camera_change_mm/mean") > 5.0);
+    assert!(number(&summary, "/workspace_poses/camera_sigma_mm/max") < 0.2);
+    let lines = |name: &str| fs::read_to_string(out.join(name)).unwrap().lines().count();
+    assert_eq!((lines("pose_sigmas.csv"), lines("covariance.csv")), (1 + 73 + 256, 1 + 10));
+
+    let validation = |rig: &std::path::Path, refit: &[&str]| {
+        json(&succeed(&[&["validate", utf8(cell()), "--rig", utf8(rig), "--json", "--quiet"], refit].concat()))
+    };
+    let holds = validation(&out, &[]);
+    assert!(number(&holds, "/figure_px/calibrated") < 0.1 * number(&holds, "/figure_px/nominal"), "{holds}");
+    assert!(holds["verdict"].as_str().unwrap().contains("holds"), "{holds}");
+    // The data set's own rig does not beat itself, however its mount is fitted.
+    let same = validation(&cell().join("rig.toml"), &["--refit", "mount"]);
+    assert!(same["verdict"].as_str().unwrap().contains("does NOT beat"), "{same}");
+    assert_eq!(same["refit"], "the mount");
+
     let truth = cell().join("truth/rig.toml");
     let evaluation =
         json(&succeed(&["evaluate", utf8(&out), "--truth", utf8(&truth), "--dataset", utf8(cell()), "--json"]));
@@ -74,7 +96,10 @@ fn results_do_not_depend_on_the_number_of_threads() {
     for threads in ["1", "2", "3"] {
         let out = folder.path().join(threads);
         succeed(&["run", utf8(cell()), "--threads", threads, "--quiet", "--out", utf8(&out)]);
-        results.push(["rig.toml", "trajectory.txt", "map.ply"].map(|name| fs::read(out.join(name)).unwrap()));
+        results.push(
+            ["rig.toml", "trajectory.txt", "map.ply", "pose_sigmas.csv", "covariance.csv"]
+                .map(|name| fs::read(out.join(name)).unwrap()),
+        );
     }
     assert!(results[0] == results[1] && results[0] == results[2]);
 }

@@ -36,7 +36,7 @@ pub struct PoseSigma {
     pub camera_sigma_mm: Option<f64>,
     /// Standard deviation of the camera's orientation, degrees.
     pub camera_sigma_deg: Option<f64>,
-    /// Standard deviation of the flange's position in space, mm.
+    /// Standard deviation of the flange's position in space, mm; `null` where the controller's pose of it is taken as exact.
     pub flange_sigma_mm: Option<f64>,
     /// Standard deviation of the flange's orientation, degrees.
     pub flange_sigma_deg: Option<f64>,
@@ -108,6 +108,7 @@ fn table(
     };
     let row = |at: usize| {
         let covariance = covariances.as_ref().map(|covariances| covariances[at]);
+        let of_arm = covariance.filter(|_| matches!(postures[at].state, PostureState::Joints(_)));
         let change = (gauge * before[at]).translation.vector - after[at].translation.vector;
         PoseSigma {
             source,
@@ -116,8 +117,8 @@ fn table(
             camera_change_mm: change.norm() * 1e3,
             camera_sigma_mm: covariance.map(|c| position_sigma_m(&c.camera) * 1e3),
             camera_sigma_deg: covariance.map(|c| orientation_sigma_rad(&c.camera).to_degrees()),
-            flange_sigma_mm: covariance.map(|c| position_sigma_m(&c.flange) * 1e3),
-            flange_sigma_deg: covariance.map(|c| orientation_sigma_rad(&c.flange).to_degrees()),
+            flange_sigma_mm: of_arm.map(|c| position_sigma_m(&c.flange) * 1e3),
+            flange_sigma_deg: of_arm.map(|c| orientation_sigma_rad(&c.flange).to_degrees()),
         }
     };
     Ok((0..postures.len()).map(row).collect())

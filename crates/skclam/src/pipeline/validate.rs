@@ -6,8 +6,8 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, Correspondences, DeviationPolicy, EpipolarStatistics, Fold, Free, Model, PriorPolicy,
-    ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
+    BundleOptions, Correspondences, DeviationPolicy, EpipolarStatistics, Fold, Free, Model, MountComponent, Parameter,
+    PriorPolicy, ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
 };
 use skclam_geometry::Isometry3;
 use skclam_rig::Rig;
@@ -76,7 +76,7 @@ pub fn validate(
     };
     let (nominal_poses, tested_poses) = (poses(&nominal.rig)?, poses(&tested.rig)?);
     let [before, after] = surface_agreement(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
-    let refit = refit.map(Free::to_string).unwrap_or_default();
+    let refit = refit.map(label).unwrap_or_default();
     Ok(Validation {
         verdict: verdict(figure, figure_px, &refit),
         rig: rig.name.clone(),
@@ -105,6 +105,12 @@ fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> 
         ..config.bundle.clone()
     };
     Ok(calibrate_bundle(rig, data, &options)?.model)
+}
+
+/// The mount by its name, anything else by its parameters.
+fn label(free: &Free) -> String {
+    let mount = Free::List(MountComponent::ALL.map(Parameter::Mount).to_vec());
+    if *free == mount { "the mount".to_owned() } else { free.to_string() }
 }
 
 fn verdict(figure: &str, px: Rigs<f64>, refit: &str) -> String {
