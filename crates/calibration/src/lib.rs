@@ -6,6 +6,7 @@
 
 mod bundle;
 mod correspondences;
+mod epipolar_residuals;
 mod error;
 mod error_function;
 mod free;
@@ -32,6 +33,7 @@ pub use bundle::{BundleOptions, DeviationPolicy, calibrate_bundle};
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
 };
+pub use epipolar_residuals::{EpipolarResidual, camera_poses, epipolar_residuals};
 pub use error::CalibrationError;
 pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};

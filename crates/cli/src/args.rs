@@ -4,6 +4,7 @@ use crate::commands::compensate::CompensateArgs;
 use crate::commands::export::ExportArgs;
 use crate::commands::import::ImportArgs;
 use crate::commands::inspect::InspectArgs;
+use crate::commands::report::{CompareArgs, ReportArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use std::path::PathBuf;
 
@@ -38,11 +39,11 @@ pub enum Command {
     /// Everything: features, matches, calibration, trajectory, map.
     #[command(
         after_help = "Examples:\n  skclam run cell/ --out result/\n  skclam run cell/ --out result/ --preset paper --free angles\n\n\
-                            Writes rig.toml (the calibrated rig), trajectory.txt (TUM), map.ply, map_nominal.ply and summary.json,\n\
-                            whole or not at all."
+                            Writes report.html (open it in a browser), rig.toml (the calibrated rig), trajectory.txt (TUM), map.ply,\n\
+                            map_nominal.ply, summary.json and report_data.json, whole or not at all."
     )]
     Run(RunArgs),
-    /// Only the calibration: writes rig.toml, trajectory.txt and summary.json.
+    /// Only the calibration: writes report.html, rig.toml, trajectory.txt, summary.json and report_data.json.
     Calibrate(RunArgs),
     /// Only the map: every depth image at the pose that a rig gives it; writes map.ply and trajectory.txt.
     Map(MapArgs),
@@ -89,6 +90,13 @@ pub enum Command {
         after_help = "Example:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/"
     )]
     Export(ExportArgs),
+    /// Build report.html again from a result folder; it needs neither the data set nor a network.
+    #[command(after_help = "Example:\n  skclam report result/")]
+    Report(ReportArgs),
+    /// Put several results side by side: parameters, residuals, held-out postures, surfaces.
+    #[command(after_help = "Example:\n  skclam compare monday/ friday/ --out compare.html\n\n\
+                            The first result is the one that the others are compared with. Different robots are allowed: rows go by name.")]
+    Compare(CompareArgs),
     /// Print a completion script for a shell.
     #[command(after_help = "Example:\n  skclam completions bash > ~/.local/share/bash-completion/completions/skclam")]
     Completions {

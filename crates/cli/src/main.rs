@@ -38,6 +38,8 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Export(args) => commands::export::export(cli, args),
         Command::Import(args) => commands::import::import(cli, args),
         Command::Inspect(args) => commands::inspect::inspect(cli, args),
+        Command::Report(args) => commands::report::report(cli, args),
+        Command::Compare(args) => commands::report::compare(cli, args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());
             Ok(())

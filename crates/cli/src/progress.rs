@@ -71,12 +71,21 @@ impl Screen {
 
 fn close(state: &mut (Option<Running>, Vec<StageTime>)) {
     if let Some(running) = state.0.take() {
-        state.1.push(StageTime {
+        let time = StageTime {
             stage: running.stage.to_string(),
             steps: running.steps,
             wall_s: running.wall.elapsed().as_secs_f64(),
             cpu_s: running.cpu.elapsed().as_secs_f64(),
-        });
+        };
+        // A stage that was taken up again is one stage.
+        match state.1.iter_mut().find(|earlier| earlier.stage == time.stage) {
+            None => state.1.push(time),
+            Some(earlier) => {
+                earlier.steps += time.steps;
+                earlier.wall_s += time.wall_s;
+                earlier.cpu_s += time.cpu_s;
+            }
+        }
     }
 }
 

@@ -36,7 +36,7 @@ pub use nearest::SurfaceIndex;
 pub use occupancy::{Esdf, Occupancy, OccupancyGrid, OccupancyOptions};
 pub use ply::{read_ply, write_ply};
 pub use quality::{
-    DistanceSummary, GapOptions, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
+    DistanceSummary, GapOptions, GapSample, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
     score_surface, surface_gaps,
 };
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};

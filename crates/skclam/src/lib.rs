@@ -13,6 +13,7 @@ pub mod inspection;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
+pub mod report_data;
 pub mod reproduction;
 pub mod summary;
 pub mod surface_evaluation;

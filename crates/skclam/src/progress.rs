@@ -25,6 +25,8 @@ pub enum Stage {
     Validate,
     /// Fusing the depth images, section 4.1.2.
     Map,
+    /// Summing up what the report shows.
+    Report,
     /// Comparing with a known truth.
     Evaluate,
 }
@@ -42,6 +44,7 @@ impl fmt::Display for Stage {
             Stage::HoldOut => "hold out",
             Stage::Validate => "validate",
             Stage::Map => "map",
+            Stage::Report => "report",
             Stage::Evaluate => "evaluate",
         })
     }

@@ -7,6 +7,7 @@ pub mod import;
 pub mod inspect;
 pub mod map;
 pub mod render;
+pub mod report;
 pub mod reproduce;
 pub mod run;
 pub mod simulate;

@@ -1,6 +1,7 @@
 //! `skclam run` and `skclam calibrate`.
 
 use crate::args::{Cli, PresetArg, RunArgs};
+use crate::commands::report::write_report;
 use crate::progress::{Screen, peak_memory_mib};
 use crate::screen;
 use anyhow::{Context, Result};
@@ -36,13 +37,14 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     outcome.summary.stages = stages(&screen);
     outcome.summary.peak_memory_mib = peak_memory_mib();
     outcome.write(&staged)?;
+    write_report(&staged)?;
     let folder = staged.publish()?;
     screen::warn(cli.quiet, &outcome.summary.warnings);
     if cli.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
     } else {
         show(&outcome.summary);
-        println!("Results: {}", folder.display());
+        println!("Results: {}; open report.html in a browser", folder.display());
     }
     Ok(())
 }

@@ -24,11 +24,13 @@ pub struct GapOptions {
     pub stride: usize,
     /// Pairs with fewer points in common do not overlap.
     pub min_points: usize,
+    /// Of the points taken, every how many along each axis is told one by one in [`SurfaceGaps::samples`]; 0 for none.
+    pub sample_every: usize,
 }
 
 impl Default for GapOptions {
     fn default() -> Self {
-        GapOptions { filter: DepthFilter::default(), gate_m: 0.1, stride: 6, min_points: 200 }
+        GapOptions { filter: DepthFilter::default(), gate_m: 0.1, stride: 6, min_points: 200, sample_every: 0 }
     }
 }
 
@@ -56,6 +58,21 @@ pub struct SurfaceGaps {
     pub median_m: Option<f64>,
     /// 90th percentile of all distances of all pairs, metres; none without pairs.
     pub p90_m: Option<f64>,
+    /// Points one by one, by view, then pixel; see [`GapOptions::sample_every`].
+    pub samples: Vec<GapSample>,
+}
+
+/// One point of a view, and how far the others' surfaces are from it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GapSample {
+    /// Index of the view.
+    pub view: usize,
+    /// Place of the pixel in the depth image, row by row.
+    pub pixel: usize,
+    /// Where the view's pose puts it, metres.
+    pub point_in_base: [f32; 3],
+    /// Median distance to the surfaces of the other views that show it, metres; none where no other does.
+    pub median_m: Option<f32>,
 }
 
 /// Compares all pairs of views. Memory: a few bytes a strided pixel of a view and of a pair.
@@ -70,22 +87,25 @@ pub fn surface_gaps(views: &[View<'_>], options: &GapOptions) -> Result<SurfaceG
     }
     views.iter().try_for_each(View::check)?;
     let mut rays: Option<Rays> = None;
-    let mut samples = Vec::with_capacity(views.len());
+    let mut taken = Vec::with_capacity(views.len());
     for view in views {
         let rays = rays_of(&mut rays, view);
-        samples.push(points_in_base(view, rays, options));
+        taken.push(points_in_base(view, rays, options));
     }
+    let mut samples = Samples::new(views, &taken, options);
     // Distances by pair; the pair (i, j) with i < j stands at i * n + j.
     let mut distances: Vec<Vec<f32>> = vec![Vec::new(); views.len() * views.len()];
     for (target, view) in views.iter().enumerate() {
         let surface = Target::new(view, rays_of(&mut rays, view), options);
-        let found: Vec<Vec<f32>> = samples
+        let found: Vec<Vec<f32>> = taken
             .par_iter()
             .enumerate()
             .map(|(source, points)| if source == target { Vec::new() } else { surface.distances(points) })
             .collect();
         for (source, list) in found.into_iter().enumerate() {
-            distances[source.min(target) * views.len() + source.max(target)].extend(list);
+            samples.add(source, &list);
+            let seen = list.into_iter().filter(|distance| !distance.is_nan());
+            distances[source.min(target) * views.len() + source.max(target)].extend(seen);
         }
     }
     let mut pairs = Vec::new();
@@ -99,7 +119,51 @@ pub fn surface_gaps(views: &[View<'_>], options: &GapOptions) -> Result<SurfaceG
         pairs.push(PairGap { first, second, points: list.len(), median_m, p90_m });
         all.extend_from_slice(list);
     }
-    Ok(SurfaceGaps { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9) })
+    let samples = samples.finish(&taken);
+    Ok(SurfaceGaps { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9), samples })
+}
+
+/// The points that are told one by one, and the distances found for them so far.
+struct Samples {
+    /// View by view, places in the list of its points.
+    places: Vec<Vec<usize>>,
+    distances: Vec<Vec<Vec<f32>>>,
+}
+
+impl Samples {
+    fn new(views: &[View<'_>], taken: &[Vec<(usize, Point3)>], options: &GapOptions) -> Self {
+        let step = options.stride * options.sample_every;
+        let on_grid = |view: &View<'_>, pixel: usize| {
+            let width = view.depth_camera.camera.width as usize;
+            step > 0 && (pixel % width).is_multiple_of(step) && (pixel / width).is_multiple_of(step)
+        };
+        let places: Vec<Vec<usize>> = views
+            .iter()
+            .zip(taken)
+            .map(|(view, points)| (0..points.len()).filter(|&place| on_grid(view, points[place].0)).collect())
+            .collect();
+        let distances = places.iter().map(|places| vec![Vec::new(); places.len()]).collect();
+        Samples { places, distances }
+    }
+
+    /// Distances of all points of a view to the surface of another; NaN where there is none.
+    fn add(&mut self, view: usize, found: &[f32]) {
+        for (&place, list) in self.places[view].iter().zip(&mut self.distances[view]) {
+            list.extend(found.get(place).filter(|distance| !distance.is_nan()));
+        }
+    }
+
+    fn finish(mut self, taken: &[Vec<(usize, Point3)>]) -> Vec<GapSample> {
+        let mut samples = Vec::new();
+        for (view, places) in self.places.iter().enumerate() {
+            for (&place, list) in places.iter().zip(&mut self.distances[view]) {
+                let (pixel, point) = taken[view][place];
+                let median_m = quantile(list, 0.5).map(|median_m| median_m as f32);
+                samples.push(GapSample { view, pixel, point_in_base: point.coords.cast::<f32>().into(), median_m });
+            }
+        }
+        samples
+    }
 }
 
 fn rays_of<'a>(kept: &'a mut Option<Rays>, view: &View<'_>) -> &'a Rays {
@@ -110,7 +174,8 @@ fn rays_of<'a>(kept: &'a mut Option<Rays>, view: &View<'_>) -> &'a Rays {
     kept.get_or_insert_with(|| Rays::new(camera))
 }
 
-fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<Point3> {
+/// Pixels on the grid that are believed, and where the pose puts them.
+fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<(usize, Point3)> {
     let depth = view.believed_depth(&options.filter);
     let width = rays.width();
     let base_from_depth = view.base_from_depth();
@@ -118,7 +183,7 @@ fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<Poi
         .step_by(options.stride)
         .flat_map(|y| (0..width).step_by(options.stride).map(move |x| y * width + x))
         .filter(|&index| depth[index] > 0.0)
-        .map(|index| base_from_depth * rays.point(index, depth[index]))
+        .map(|index| (index, base_from_depth * rays.point(index, depth[index])))
         .collect()
 }
 
@@ -138,28 +203,27 @@ impl<'a> Target<'a> {
         Target { view, patches, rays, gate_m: options.gate_m }
     }
 
-    fn distances(&self, points_in_base: &[Point3]) -> Vec<f32> {
+    /// One a point; NaN where the view shows no surface near it.
+    fn distances(&self, points_in_base: &[(usize, Point3)]) -> Vec<f32> {
         let camera = &self.view.depth_camera.camera;
         let depth_from_base = self.view.base_from_depth().inverse();
-        points_in_base
-            .iter()
-            .filter_map(|point| {
-                let point = depth_from_base * point;
-                let pixel = camera.project(&point)?;
-                let (x, y) = (pixel.x.round(), pixel.y.round());
-                if !(x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height)) {
-                    return None;
-                }
-                let index = y as usize * camera.width as usize + x as usize;
-                let SurfacePatch { normal, depth } = self.patches[index];
-                let normal = normal.cast::<f64>();
-                if depth <= 0.0 || normal.norm_squared() == 0.0 || (f64::from(depth) - point.z).abs() > self.gate_m {
-                    return None;
-                }
-                let on_surface = self.rays.point(index, depth);
-                Some(normal.dot(&(point - on_surface)).abs() as f32)
-            })
-            .collect()
+        let distance = |point: &Point3| {
+            let point = depth_from_base * point;
+            let pixel = camera.project(&point)?;
+            let (x, y) = (pixel.x.round(), pixel.y.round());
+            if !(x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height)) {
+                return None;
+            }
+            let index = y as usize * camera.width as usize + x as usize;
+            let SurfacePatch { normal, depth } = self.patches[index];
+            let normal = normal.cast::<f64>();
+            if depth <= 0.0 || normal.norm_squared() == 0.0 || (f64::from(depth) - point.z).abs() > self.gate_m {
+                return None;
+            }
+            let on_surface = self.rays.point(index, depth);
+            Some(normal.dot(&(point - on_surface)).abs() as f32)
+        };
+        points_in_base.iter().map(|(_, point)| distance(point).unwrap_or(f32::NAN)).collect()
     }
 }
 
@@ -184,6 +248,16 @@ mod tests {
         assert_eq!((pair.first, pair.second), (0, 1));
         assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
         assert_eq!(gaps.median_m, Some(pair.median_m));
+        assert!(gaps.samples.is_empty());
+        let told = GapOptions { sample_every: 2, ..Default::default() };
+        let samples = surface_gaps(&[first, second, away], &told).unwrap().samples;
+        assert_eq!(samples.len(), 3 * 10 * 8, "every twelfth pixel along each axis");
+        for sample in &samples {
+            assert!(sample.median_m.is_none_or(|median_m| (median_m - 0.007).abs() < 1e-4), "{sample:?}");
+        }
+        assert!(samples.iter().filter(|sample| sample.view < 2 && sample.median_m.is_some()).count() > 100);
+        assert!(samples.iter().filter(|sample| sample.view == 2).all(|sample| sample.median_m.is_none()));
+        assert!((samples[13].point_in_base[2] - 1.0).abs() < 1e-6);
     }
 
     #[test]

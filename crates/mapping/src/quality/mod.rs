@@ -3,7 +3,7 @@
 mod gaps;
 mod reference;
 
-pub use gaps::{GapOptions, PairGap, SurfaceGaps, surface_gaps};
+pub use gaps::{GapOptions, GapSample, PairGap, SurfaceGaps, surface_gaps};
 pub use reference::{DistanceSummary, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceScore, score_surface};
 
 /// The value below which a share of a list lies; the list is reordered. `None` for an empty list.

@@ -19,28 +19,59 @@ pub struct SurfaceAgreement {
     pub p90_mm: f64,
 }
 
+/// A point of a depth image, and how far the other images' surfaces are from it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgreementSample {
+    /// Position of the posture.
+    pub posture: usize,
+    /// Place of the pixel in its depth image, row by row.
+    pub pixel: usize,
+    /// Where the pose puts it, metres.
+    pub point_in_base: [f32; 3],
+    /// Median distance to the surfaces of the other images that show it, metres.
+    pub median_m: Option<f32>,
+}
+
+/// The answer for one list of poses.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Agreement {
+    /// Over all images; `None` without depth, or where no two images overlap.
+    pub surfaces: Option<SurfaceAgreement>,
+    /// Points one by one, the same pixels for every list of poses.
+    pub samples: Vec<AgreementSample>,
+}
+
+/// Points that are told one by one, at about the most.
+const SAMPLES: usize = 60_000;
 /// Depth images that are compared at the most, evenly over the recording; the cost grows with the square.
 const COMPARED: usize = 120;
 
-/// One answer for each list of poses; `None` where the data set has no depth, or where no two images overlap.
+/// One answer for each list of poses.
 pub fn surface_agreement<const N: usize>(
     dataset: &Dataset,
     poses: [&[Isometry3]; N],
     rig: &Rig,
-) -> Result<[Option<SurfaceAgreement>; N], RunError> {
-    let Some(depth_camera) = rig.depth else { return Ok([None; N]) };
+) -> Result<[Agreement; N], RunError> {
+    let mut answers: [Agreement; N] = std::array::from_fn(|_| Agreement::default());
+    let Some(depth_camera) = rig.depth else { return Ok(answers) };
     let chosen: Vec<usize> = (0..dataset.len()).step_by(dataset.len().div_ceil(COMPARED).max(1)).collect();
     let depths: Vec<Option<DepthImage>> =
         chosen.par_iter().map(|&index| dataset.depth(index)).collect::<Result<_, _>>()?;
     let depth_mask = dataset.depth_mask()?;
-    let mut answers = [None; N];
+    let mut options = GapOptions::default();
+    let pixels = f64::from(depth_camera.camera.width) * f64::from(depth_camera.camera.height) * chosen.len() as f64;
+    let taken = pixels / (options.stride * options.stride) as f64;
+    options.sample_every = (taken / SAMPLES as f64).sqrt().ceil().max(1.0) as usize;
     for (answer, poses) in answers.iter_mut().zip(poses) {
+        let mut postures = Vec::new();
         let views: Vec<View<'_>> = chosen
             .iter()
             .zip(&depths)
             .filter_map(|(&index, depth)| {
+                let depth = depth.as_ref()?;
+                postures.push(index);
                 Some(View {
-                    depth: depth.as_ref()?,
+                    depth,
                     color: None,
                     depth_camera: &depth_camera,
                     color_camera: &rig.color,
@@ -50,11 +81,18 @@ pub fn surface_agreement<const N: usize>(
                 })
             })
             .collect();
-        let gaps = surface_gaps(&views, &GapOptions::default())?;
+        let gaps = surface_gaps(&views, &options)?;
         if let (Some(median_m), Some(p90_m)) = (gaps.median_m, gaps.p90_m) {
-            *answer =
+            answer.surfaces =
                 Some(SurfaceAgreement { pairs: gaps.pairs.len(), median_mm: median_m * 1e3, p90_mm: p90_m * 1e3 });
         }
+        let samples = gaps.samples.iter().map(|sample| AgreementSample {
+            posture: postures[sample.view],
+            pixel: sample.pixel,
+            point_in_base: sample.point_in_base,
+            median_m: sample.median_m,
+        });
+        answer.samples = samples.collect();
     }
     Ok(answers)
 }

@@ -19,7 +19,7 @@ mod sightings;
 mod validate;
 mod verdict;
 
-pub use agreement::{SurfaceAgreement, surface_agreement};
+pub use agreement::{Agreement, AgreementSample, SurfaceAgreement, surface_agreement};
 pub use calibrate::calibrate;
 pub use camera_fixed::{CameraFixedSummary, drop_camera_fixed};
 pub use config::{Config, Estimator};

@@ -8,7 +8,8 @@ use super::{
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
-use crate::progress::Progress;
+use crate::progress::{Progress, Stage};
+use crate::report_data::{ReportData, sample_map};
 use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
 use crate::trajectory::{StampedPose, trajectory_text};
 use image::GrayImage;
@@ -46,6 +47,8 @@ pub struct Outcome {
     pub maps: Option<Maps>,
     /// Every figure.
     pub summary: Summary,
+    /// What the report shows beside them.
+    pub report: ReportData,
 }
 
 /// Calibrates, localizes and maps: the method of section 3 in its order.
@@ -66,8 +69,12 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
     )?;
     outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
     if let Some(maps) = &outcome.maps {
-        let [agreement_calibrated, agreement_nominal] =
-            surface_agreement(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
+        let [calibrated, nominal] = surface_agreement(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
+        progress.begin(Stage::Report, 1);
+        let samples = [&calibrated.samples[..], &nominal.samples[..]];
+        outcome.report.map = sample_map(dataset, &outcome.rig, outcome.mask.as_ref(), samples)?;
+        progress.step();
+        let [agreement_calibrated, agreement_nominal] = [calibrated.surfaces, nominal.surfaces];
         if let (Some(after), Some(before)) = (agreement_calibrated, agreement_nominal)
             && after.median_mm > before.median_mm * WORSE_AGREEMENT
         {
@@ -106,6 +113,9 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         Some((found, summary)) => ((summary.outcome == MaskOutcome::Found).then_some(found.mask), Some(summary)),
         None => (None, None),
     };
+    progress.begin(Stage::Report, 1);
+    let report = ReportData::new(dataset, &data, &calibration, &rig, &pose_sigmas)?;
+    progress.step();
     let posture_index = |position: usize| dataset.records[position].posture.index;
     let summary = Summary {
         program: "skclam".to_owned(),
@@ -151,7 +161,7 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         stages: Vec::new(),
         peak_memory_mib: None,
     };
-    Ok(Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary })
+    Ok(Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary, report })
 }
 
 /// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
@@ -223,6 +233,7 @@ impl Outcome {
         let mut json = serde_json::to_string_pretty(&self.summary)?;
         json.push('\n');
         staged.write("summary.json", json)?;
+        staged.write("report_data.json", serde_json::to_string(&self.report)?)?;
         Ok(())
     }
 }

@@ -1,0 +1,98 @@
+//! `skclam report` and `skclam compare`.
+
+use crate::args::Cli;
+use crate::screen;
+use anyhow::{Context, Result};
+use clap::{Args, ValueHint};
+use skclam::output::StagedFolder;
+use skclam_report::{Comparison, RunResult, compare_html, report_html};
+use std::path::{Path, PathBuf};
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// A result folder, with summary.json and report_data.json.
+    #[arg(value_hint = ValueHint::DirPath)]
+    pub result: PathBuf,
+    /// Write the page here instead of into the result folder.
+    #[arg(long, short, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub out: Option<PathBuf>,
+}
+
+/// Arguments of `compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// Two or more result folders.
+    #[arg(required = true, num_args = 2.., value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub results: Vec<PathBuf>,
+    /// Write the comparison as a page too.
+    #[arg(long, short, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub out: Option<PathBuf>,
+}
+
+/// The page of a folder under construction: made of the files in it, so that `skclam report` gives the same bytes.
+pub fn write_report(staged: &StagedFolder) -> Result<()> {
+    let folder = staged.path("")?;
+    staged.write("report.html", report_html(&RunResult::read(folder)?))?;
+    Ok(())
+}
+
+/// Builds the page again.
+pub fn report(cli: &Cli, args: &ReportArgs) -> Result<()> {
+    let page = report_html(&RunResult::read(&args.result)?);
+    let path = args.out.clone().unwrap_or_else(|| args.result.join("report.html"));
+    write_whole(&path, &page)?;
+    if !cli.quiet {
+        println!("{} ({:.1} MB)", path.display(), page.len() as f64 / 1e6);
+    }
+    Ok(())
+}
+
+/// Puts results side by side.
+pub fn compare(cli: &Cli, args: &CompareArgs) -> Result<()> {
+    let runs = args.results.iter().map(RunResult::read).collect::<Result<Vec<_>, _>>()?;
+    let comparison = Comparison::of(&runs);
+    if cli.json {
+        println!("{}", serde_json::to_string_pretty(&comparison)?);
+    } else {
+        show(&comparison);
+    }
+    if let Some(path) = &args.out {
+        write_whole(path, &compare_html(&runs, &comparison))?;
+        if !cli.quiet && !cli.json {
+            println!("Page: {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// A file that appears whole or not at all.
+fn write_whole(path: &Path, text: &str) -> Result<()> {
+    let mut name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?.to_owned();
+    name.push(format!(".partial-{}", std::process::id()));
+    let partial = path.with_file_name(name);
+    std::fs::write(&partial, text).with_context(|| path.display().to_string())?;
+    std::fs::rename(&partial, path).with_context(|| path.display().to_string())
+}
+
+fn show(comparison: &Comparison) {
+    for (at, run) in comparison.runs.iter().enumerate() {
+        println!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.light);
+    }
+    println!();
+    let header: Vec<String> = (1..=comparison.runs.len()).map(|at| format!("[{at}]")).collect();
+    for group in &comparison.groups {
+        let head: Vec<&str> = std::iter::once(group.title.as_str())
+            .chain(header.iter().map(String::as_str))
+            .chain(std::iter::once("unit"))
+            .collect();
+        let mut table = screen::table(&head);
+        for row in &group.rows {
+            let mut cells = vec![row.name.clone()];
+            cells.extend(row.cells.iter().map(|cell| cell.as_ref().map_or("-".to_owned(), |cell| cell.text.clone())));
+            cells.push(row.unit.clone());
+            table.add_row(cells);
+        }
+        println!("{table}\n");
+    }
+}

@@ -1,0 +1,140 @@
+"use strict";
+(() => {
+  const byId = (id) => document.getElementById(id);
+  const json = (id) => JSON.parse(byId(id).textContent);
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const print = matchMedia("print");
+  const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+  // Charts: sizes and transparent grounds here; colours of text and grid come from the style sheet.
+  const font = { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif", size: 12 };
+  const quiet = { displayModeBar: false, responsive: true };
+  const charts = json("charts-data");
+  const narrow = () => window.innerWidth < 620;
+  const layoutOf = (chart) => {
+    const layout = structuredClone(chart.layout);
+    const margin = { l: 58, r: 12, t: 30, b: 48 };
+    Object.assign(layout, { font, margin, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true, hovermode: "closest" });
+    layout.hoverlabel = { bgcolor: "#2b3440", bordercolor: "#2b3440", font: { ...font, color: "#ffffff" } };
+    layout.legend = { orientation: "h", y: 1, yanchor: "bottom", x: 0, bgcolor: "rgba(0,0,0,0)" };
+    return layout;
+  };
+  for (const chart of charts) {
+    const place = byId(chart.id);
+    if (place) Plotly.newPlot(place, chart.data, layoutOf(chart), quiet);
+  }
+
+  // The 3D view.
+  const scene = json("scene-data");
+  const place = byId("view3d");
+  if (scene && place) {
+    const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    // The numbers are little-endian in the page, whatever the machine is.
+    const floats = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Float32Array.from({ length: b.length / 4 }, (_, k) => v.getFloat32(4 * k, true)); };
+    const shorts = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Uint16Array.from({ length: b.length / 2 }, (_, k) => v.getUint16(2 * k, true)); };
+    const axis = (points, k) => Float32Array.from({ length: points.length / 3 }, (_, i) => points[3 * i + k]);
+    const quantile = (values, share) => { const sorted = Float64Array.from(values).sort(); return sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 0; };
+    const views = {};
+    let rgb, images, limit = 1;
+    if (scene.map) {
+      const colors = bytes(scene.map.colors);
+      rgb = Array.from({ length: scene.map.points }, (_, k) => `rgb(${colors[3 * k]},${colors[3 * k + 1]},${colors[3 * k + 2]})`);
+      images = shorts(scene.map.postures);
+      for (const rig of ["nominal", "calibrated"]) {
+        const points = floats(scene.map[rig + "_m"]);
+        views[rig] = { x: axis(points, 0), y: axis(points, 1), z: axis(points, 2), gap: floats(scene.map[`gaps_${rig}_mm`]) };
+      }
+      // One scale for both, so that the switch shows the difference.
+      limit = Math.max(quantile(views.nominal.gap.filter((v) => !Number.isNaN(v)), 0.9), quantile(views.calibrated.gap.filter((v) => !Number.isNaN(v)), 0.9), 0.1);
+    }
+    // A few stray points must not make the rest small.
+    const range = (k) => {
+      const name = "xyz"[k];
+      const cameras = scene.calibrated.concat(scene.nominal).map((p) => p[k]);
+      const points = scene.map ? ["nominal", "calibrated"].flatMap((rig) => [quantile(views[rig][name], 0.004), quantile(views[rig][name], 0.996)]) : [];
+      const low = Math.min(...cameras, ...points), high = Math.max(...cameras, ...points);
+      const margin = 0.03 * (high - low) + 0.01;
+      return [low - margin, high + margin];
+    };
+    const ranges = [0, 1, 2].map(range);
+    const home = { eye: { x: 1.15, y: -1.25, z: 0.75 }, center: { x: 0, y: 0, z: -0.08 }, up: { x: 0, y: 0, z: 1 } };
+    const choice = (name) => document.querySelector(`input[name="${name}"]:checked`)?.value;
+    const label = (points, keep, text) => keep ? text.filter((_, k) => keep(k)) : text;
+
+    const cloud = (rig) => {
+      const view = views[rig];
+      const base = { type: "scatter3d", mode: "markers", name: "map", x: view.x, y: view.y, z: view.z, hoverinfo: "skip", showlegend: false };
+      switch (choice("color")) {
+        case "image":
+          return [{ ...base, marker: { size: 1.6, color: images, colorscale: "Viridis", cmin: 0, cmax: scene.calibrated.length - 1, showscale: true, colorbar: bar("image (position in the recording)") } }];
+        case "gap": {
+          const seen = [], alone = [];
+          view.gap.forEach((v, k) => (Number.isNaN(v) ? alone : seen).push(k));
+          const part = (keep) => ({ ...base, x: keep.map((k) => view.x[k]), y: keep.map((k) => view.y[k]), z: keep.map((k) => view.z[k]) });
+          return [
+            { ...part(alone), marker: { size: 1.2, color: color("--line") } },
+            { ...part(seen), marker: { size: 1.8, color: seen.map((k) => view.gap[k]), colorscale: "Cividis", cmin: 0, cmax: limit, showscale: true, colorbar: bar("disagreement (mm)") } },
+          ];
+        }
+        default:
+          return [{ ...base, marker: { size: 1.8, color: rgb } }];
+      }
+    };
+    const bar = (text) => ({ title: { text, side: "right" }, thickness: 10, len: 0.8, outlinewidth: 0, x: 0.99, xanchor: "right", tickfont: { ...font, size: 11 } });
+    const path = (rig, points, tint, symbol) => ({
+      type: "scatter3d", mode: "lines+markers", name: `camera, ${rig}`, x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
+      text: scene.indices.map((i) => `posture ${i}`), hovertemplate: "%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
+      line: { color: tint, width: 2 }, marker: { size: 3, color: tint, symbol },
+    });
+    const draw = () => {
+      const rig = choice("poses") || "calibrated";
+      const tint = { nominal: color("--nominal"), calibrated: color("--calibrated") };
+      const symbol = { nominal: "diamond", calibrated: "circle" };
+      const data = scene.map ? [...cloud(rig), path(rig, scene[rig], tint[rig], symbol[rig])] : [path(rig, scene[rig], tint[rig], symbol[rig])];
+      const text = color("--text"), line = color("--line");
+      const one = (k) => ({ title: { text: `${"xyz"[k]} (m)` }, range: ranges[k], color: text, gridcolor: line, zerolinecolor: line, showbackground: false, showspikes: false });
+      const layout = {
+        font: { ...font, size: 11, color: text }, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", autosize: true, uirevision: "same",
+        hoverlabel: { bgcolor: "#2b3440", font: { ...font, color: "#ffffff" } },
+        legend: { x: 0.01, y: 0.99, bgcolor: "rgba(0,0,0,0)" }, showlegend: true,
+        scene: { xaxis: one(0), yaxis: one(1), zaxis: one(2), aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
+      };
+      const said = byId("scene-said");
+      if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "disagreement of the surfaces" }[choice("color")]}` : ""}.`;
+      return Plotly.react(place, data, layout, { displayModeBar: false, responsive: true });
+    };
+    draw();
+    document.querySelectorAll(".switches input").forEach((input) => input.addEventListener("change", draw));
+    dark.addEventListener("change", draw);
+
+    // The keyboard turns it as the mouse does.
+    const turn = (dx, dy, nearer) => {
+      const { eye, center, up } = place._fullLayout.scene._scene.getCamera();
+      const radius = Math.hypot(eye.x, eye.y, eye.z) * nearer;
+      const azimuth = Math.atan2(eye.y, eye.x) + dx;
+      const height = Math.min(1.5, Math.max(-1.5, Math.asin(Math.max(-1, Math.min(1, eye.z / Math.hypot(eye.x, eye.y, eye.z)))) + dy));
+      const flat = radius * Math.cos(height);
+      Plotly.relayout(place, { "scene.camera": { eye: { x: flat * Math.cos(azimuth), y: flat * Math.sin(azimuth), z: radius * Math.sin(height) }, center, up } });
+    };
+    const step = Math.PI / 18;
+    const keys = { ArrowLeft: [-step, 0, 1], ArrowRight: [step, 0, 1], ArrowUp: [0, step, 1], ArrowDown: [0, -step, 1], "+": [0, 0, 0.85], "=": [0, 0, 0.85], "-": [0, 0, 1 / 0.85] };
+    place.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.key === "0") Plotly.relayout(place, { "scene.camera": home });
+      else if (keys[event.key]) turn(...keys[event.key]);
+      else return;
+      event.preventDefault();
+    });
+  }
+
+  // Paper: charts as wide as the page, whatever the screen was.
+  const paper = (on) => {
+    for (const plot of document.querySelectorAll(".plot")) {
+      if (!plot._fullLayout) continue;
+      if (on) Plotly.relayout(plot, { width: plot.closest(".pair") ? 330 : 670 });
+      else Plotly.relayout(plot, { width: undefined, autosize: true });
+    }
+  };
+  addEventListener("beforeprint", () => { document.querySelectorAll("details").forEach((d) => { d.dataset.was = d.open ? "1" : ""; d.open = true; }); paper(true); });
+  addEventListener("afterprint", () => { document.querySelectorAll("details").forEach((d) => { d.open = d.dataset.was === "1"; }); paper(false); });
+})();

@@ -1,0 +1,77 @@
+//! What the data cannot tell, why, and what to record to see it.
+
+use crate::RunResult;
+use crate::figures::{Digits, Numbers};
+use crate::html::{escaped, table};
+use crate::page::Section;
+
+pub(crate) fn section(run: &RunResult) -> Section {
+    let numbers = Numbers::of(run);
+    let mut html = String::new();
+    if run.number("/calibration/rank").is_none() {
+        html += "<p>This estimator (Nelder-Mead, the paper's) tells no covariance and nothing of what the data can see. Run the default preset to know.</p>\n";
+    } else {
+        html += &format!(
+            "<p>{} of {} combinations of the free parameters are seen by the data. Condition number {}: the best-seen combination is \
+             told so many times more surely than the worst.</p>\n",
+            numbers.show("/calibration/rank", Digits::Whole),
+            numbers.show("/calibration/free", Digits::Whole),
+            numbers.show("/calibration/condition_number", Digits::Significant(3)),
+        );
+        let reasons: Vec<Vec<String>> = run
+            .list("/calibration/not_identifiable")
+            .iter()
+            .filter_map(|reason| reason.as_str())
+            .map(|reason| vec![escaped(reason), escaped(&advice(reason))])
+            .collect();
+        html += &if reasons.is_empty() {
+            "<p>Nothing among the free parameters is beyond the data.</p>\n".to_owned()
+        } else {
+            table("words", "Not identifiable: held by the priors, not by the data", &["What", "What to do"], &reasons)
+        };
+        let names = ["O1", "O2", "O3", "O4", "O5"];
+        let row: Vec<String> = std::iter::once("Value".to_owned())
+            .chain((0..5).map(|k| numbers.show(&format!("/calibration/observability/{k}"), Digits::Significant(3))))
+            .collect();
+        let head: Vec<&str> = std::iter::once("Index").chain(names).collect();
+        html += &table("numbers", "Observability indices (greater is better)", &head, &[row]);
+    }
+    Section { id: "unseen", title: "What the data cannot tell", html, charts: Vec::new() }
+}
+
+/// What to record, or to give, so that the data tell it. The sentences of the estimator name the cause.
+fn advice(reason: &str) -> String {
+    let advice = if reason.contains("moves the base") {
+        "Nothing recorded by the camera can tell; measure the base's place by other means, or leave it."
+    } else if reason.contains("are one ") && reason.contains("mount") {
+        "Nothing to record: only the sum of both matters. Hold one of the two (--free without it)."
+    } else if reason.contains("scale is not observable") {
+        "Give one known length: depth images, or a board in the rig file; or hold the depth's scale."
+    } else if reason.contains("parallel axes") {
+        "Nothing to record: hold one of the two, the other takes the sum."
+    } else if reason.contains("moved by only") {
+        "Record postures in which this joint turns by 60 deg or more, in both directions, with the others moving as well."
+    } else {
+        "Record more postures that differ in the wrist's orientation and in reach, that look at the same scene from other sides."
+    };
+    advice.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_cause_has_its_advice() {
+        // The sentences of skclam-calibration's identifiability.
+        let of = |text: &str| advice(text);
+        assert!(
+            of("theta_offset_1 moves the base and the whole world with it: no image can tell").contains("other means")
+        );
+        assert!(of("d_6 and the mount (mount_z) are one length").contains("the sum"));
+        assert!(of("the scale is not observable: no depth, no board, no fixed length; ...").contains("known length"));
+        assert!(of("joint 3 moved by only 2.0 deg: alpha_3 cannot be told apart").contains("this joint turns"));
+        assert!(of("d_2 and d_3 lie along parallel axes: they are one length").contains("hold one"));
+        assert!(of("the postures do not tell a_2, a_3 apart").contains("more postures"));
+    }
+}

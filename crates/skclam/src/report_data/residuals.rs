@@ -1,0 +1,251 @@
+//! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by
+//! posture, by pair, and by place in the image. Every figure is over all matches, none is drawn at random.
+
+use super::rounded;
+use crate::dataset::Dataset;
+use crate::pipeline::RunError;
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+use skclam_calibration::{Correspondences, EpipolarResidual, Model, epipolar_residuals};
+use skclam_geometry::Pixel;
+
+/// Bins of the histogram in each factor of ten.
+const BINS_A_DECADE: usize = 10;
+/// The histogram's range, powers of ten of px; what is outside counts in the outer bins.
+const DECADES: (i32, i32) = (-3, 3);
+/// Cells of the image along its longer edge.
+const CELLS_ACROSS: u32 = 16;
+/// A cell with fewer ends of matches says nothing.
+const LEAST_ENDS: usize = 8;
+
+/// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ResidualData {
+    /// Distances of all ends.
+    pub histogram: Histogram,
+    /// One a posture, in their order.
+    pub postures: Vec<PostureResiduals>,
+    /// One a pair that has a baseline and matches.
+    pub pairs: Vec<PairResiduals>,
+    /// Columns and rows into which the image was divided.
+    pub grid: [u32; 2],
+    /// The cells that hold enough ends.
+    pub cells: Vec<ImageCell>,
+}
+
+/// Numbers of ends by distance.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Histogram {
+    /// Limits between bins, px; one more than bins.
+    pub edges_px: Vec<f64>,
+    /// Under the nominal rig.
+    pub before: Vec<u64>,
+    /// Under the calibrated rig.
+    pub after: Vec<u64>,
+}
+
+/// Distances of the ends in some part of the data under one rig.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Ends {
+    /// Median distance to the line, px.
+    pub median_px: f64,
+    /// 90th percentile, px.
+    pub p90_px: f64,
+}
+
+/// One posture.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct PostureResiduals {
+    /// Ends in its image.
+    pub ends: usize,
+    /// Under the nominal rig.
+    pub before: Ends,
+    /// Under the calibrated rig.
+    pub after: Ends,
+}
+
+/// One pair.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PairResiduals {
+    /// Position of the first posture.
+    pub a: usize,
+    /// Position of the second posture.
+    pub b: usize,
+    /// Matches that the estimator was given.
+    pub matches: usize,
+    /// Median distance under the nominal rig, px.
+    pub median_before_px: f64,
+    /// The same under the calibrated rig.
+    pub median_after_px: f64,
+}
+
+/// A part of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ImageCell {
+    /// Its centre, px.
+    pub center_px: [f64; 2],
+    /// Ends within.
+    pub ends: usize,
+    /// Median way from pixel to line (each coordinate for itself) under the nominal rig, px.
+    pub before_px: [f64; 2],
+    /// The same under the calibrated rig.
+    pub after_px: [f64; 2],
+}
+
+/// Residuals of one pair's matches, before and after.
+pub(super) type PairEnds = Option<[Vec<EpipolarResidual>; 2]>;
+
+/// One end: where it is, and its ways to the line before and after.
+struct End {
+    posture: usize,
+    pixel: Pixel,
+    ways: [Vector2<f64>; 2],
+}
+
+/// Sums up, and hands out the residuals match by match (pair by pair; `None` without a baseline).
+pub fn residual_data(
+    dataset: &Dataset,
+    data: &Correspondences,
+    calibrated: &Model,
+) -> Result<(ResidualData, Vec<PairEnds>), RunError> {
+    let before = epipolar_residuals(&Model::new(dataset.rig.clone()), data)?;
+    let after = epipolar_residuals(calibrated, data)?;
+    let per_match: Vec<PairEnds> =
+        before.into_iter().zip(after).map(|(before, after)| Some([before?, after?])).collect();
+    let mut ends = Vec::new();
+    let mut pairs = Vec::new();
+    for (pair, residuals) in data.pairs.iter().zip(&per_match) {
+        let Some([before, after]) = residuals else { continue };
+        if pair.matches.is_empty() {
+            continue;
+        }
+        for ((m, before), after) in pair.matches.iter().zip(before).zip(after) {
+            ends.push(End { posture: pair.a, pixel: m.in_a, ways: [before.in_a, after.in_a] });
+            ends.push(End { posture: pair.b, pixel: m.in_b, ways: [before.in_b, after.in_b] });
+        }
+        let median = |residuals: &[EpipolarResidual]| {
+            let mut distances: Vec<f64> =
+                residuals.iter().flat_map(|residual| [residual.in_a.norm(), residual.in_b.norm()]).collect();
+            rounded(quantile(&mut distances, 0.5), 4)
+        };
+        let (median_before_px, median_after_px) = (median(before), median(after));
+        let matches = pair.matches.len();
+        pairs.push(PairResiduals { a: pair.a, b: pair.b, matches, median_before_px, median_after_px });
+    }
+    let camera = &dataset.rig.color;
+    let (grid, cells) = cells(&ends, camera.width, camera.height);
+    let postures = postures(&ends, data.postures.len());
+    Ok((ResidualData { histogram: histogram(&ends), postures, pairs, grid, cells }, per_match))
+}
+
+fn histogram(ends: &[End]) -> Histogram {
+    let bins = (DECADES.1 - DECADES.0) as usize * BINS_A_DECADE;
+    let edge = |k: usize| 10f64.powf(f64::from(DECADES.0) + k as f64 / BINS_A_DECADE as f64);
+    let bin = |distance: f64| {
+        let place = (distance.max(1e-12).log10() - f64::from(DECADES.0)) * BINS_A_DECADE as f64;
+        (place.max(0.0) as usize).min(bins - 1)
+    };
+    let mut counts = [vec![0; bins], vec![0; bins]];
+    for end in ends {
+        for (counts, way) in counts.iter_mut().zip(&end.ways) {
+            counts[bin(way.norm())] += 1;
+        }
+    }
+    let [before, after] = counts;
+    Histogram { edges_px: (0..=bins).map(|k| rounded(edge(k), 6)).collect(), before, after }
+}
+
+fn postures(ends: &[End], count: usize) -> Vec<PostureResiduals> {
+    let mut distances = vec![[Vec::new(), Vec::new()]; count];
+    for end in ends {
+        for (list, way) in distances[end.posture].iter_mut().zip(&end.ways) {
+            list.push(way.norm());
+        }
+    }
+    let summed = |list: &mut Vec<f64>| Ends {
+        median_px: rounded(quantile(list, 0.5), 4),
+        p90_px: rounded(quantile(list, 0.9), 4),
+    };
+    distances
+        .iter_mut()
+        .map(|[before, after]| PostureResiduals { ends: before.len(), before: summed(before), after: summed(after) })
+        .collect()
+}
+
+fn cells(ends: &[End], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>) {
+    let edge = f64::from(width.max(height)) / f64::from(CELLS_ACROSS);
+    let along = |pixels: u32| ((f64::from(pixels) / edge).round() as u32).max(1);
+    let grid = [along(width), along(height)];
+    let [columns, rows] = grid.map(|cells| cells as usize);
+    let cell_size = [f64::from(width) / columns as f64, f64::from(height) / rows as f64];
+    let mut members: Vec<Vec<&End>> = vec![Vec::new(); columns * rows];
+    for end in ends {
+        let place =
+            |position: f64, size: f64, cells: usize| (((position + 0.5) / size).max(0.0) as usize).min(cells - 1);
+        let (column, row) = (place(end.pixel.x, cell_size[0], columns), place(end.pixel.y, cell_size[1], rows));
+        members[row * columns + column].push(end);
+    }
+    let summed = |(place, members): (usize, &Vec<&End>)| {
+        let middle = |which: usize| {
+            [0, 1].map(|axis| {
+                let mut list: Vec<f64> = members.iter().map(|end| end.ways[which][axis]).collect();
+                rounded(quantile(&mut list, 0.5), 4)
+            })
+        };
+        let center = |at: usize, size: f64| rounded((at as f64 + 0.5) * size - 0.5, 2);
+        (members.len() >= LEAST_ENDS).then(|| ImageCell {
+            center_px: [center(place % columns, cell_size[0]), center(place / columns, cell_size[1])],
+            ends: members.len(),
+            before_px: middle(0),
+            after_px: middle(1),
+        })
+    };
+    (grid, members.iter().enumerate().filter_map(summed).collect())
+}
+
+/// The value below which a share of a list lies; 0 for an empty one.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    let Some(last) = values.len().checked_sub(1) else { return 0.0 };
+    let (_, value, _) = values.select_nth_unstable_by((share * last as f64).round() as usize, f64::total_cmp);
+    *value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn end(posture: usize, pixel: (f64, f64), before: f64, after: f64) -> End {
+        End {
+            posture,
+            pixel: Pixel::new(pixel.0, pixel.1),
+            ways: [Vector2::new(before, 0.0), Vector2::new(0.0, -after)],
+        }
+    }
+
+    #[test]
+    fn every_end_is_counted_once() {
+        let ends = [end(0, (0.0, 0.0), 0.0, 1e9), end(1, (0.0, 0.0), 1.05, 0.1005)];
+        let found = histogram(&ends);
+        assert_eq!(found.edges_px.len(), found.before.len() + 1);
+        assert_eq!((found.before.iter().sum::<u64>(), found.after.iter().sum::<u64>()), (2, 2));
+        assert_eq!((found.before[0], found.before[30], found.after[59], found.after[20]), (1, 1, 1, 1));
+    }
+
+    #[test]
+    fn arrows_are_medians_over_their_cell() {
+        let mut ends: Vec<End> = (0..9).map(|k| end(0, (3.0, 2.0), f64::from(k), 0.5)).collect();
+        ends.push(end(0, (1599.4, 899.4), 1.0, 1.0));
+        let (grid, found) = cells(&ends, 1600, 900);
+        assert_eq!(grid, [16, 9]);
+        let [cell] = found[..] else { panic!("{found:?}") };
+        assert_eq!((cell.center_px, cell.ends), ([49.5, 49.5], 9));
+        assert_eq!((cell.before_px, cell.after_px), ([4.0, 0.0], [0.0, -0.5]));
+    }
+
+    #[test]
+    fn postures_without_matches_are_there_with_none() {
+        let found = postures(&[end(1, (0.0, 0.0), 2.0, 1.0)], 3);
+        assert_eq!((found[0].ends, found[1].ends, found[2].ends), (0, 1, 0));
+        assert_eq!((found[1].before.median_px, found[1].after.p90_px), (2.0, 1.0));
+    }
+}
