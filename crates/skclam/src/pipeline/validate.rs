@@ -88,7 +88,11 @@ pub fn validate(
         figure_px,
         reprojection: comparison.reprojection,
         epipolar: comparison.epipolar,
-        depth_agreement: before.zip(after).map(|(nominal, calibrated)| Rigs { nominal, mount_only: None, calibrated }),
+        depth_agreement: before.surfaces.zip(after.surfaces).map(|(nominal, calibrated)| Rigs {
+            nominal,
+            mount_only: None,
+            calibrated,
+        }),
         warnings: told,
     })
 }
