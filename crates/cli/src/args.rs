@@ -85,9 +85,11 @@ pub enum Command {
                             Joints in the result go to a controller that takes joints, poses to one that takes poses: not both corrections at once."
     )]
     Compensate(CompensateArgs),
-    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON.
+    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON; the result as MCAP.
     #[command(
-        after_help = "Example:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/"
+        after_help = "Examples:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/\n  skclam export result/ --dataset cell/ --mcap --out export/\n\n\
+                            The second writes export/result.mcap for Foxglove and Rerun: images, frames, trajectories, maps and residuals,\n\
+                            nominal and calibrated. A xacro is to be expanded first: xacro robot.urdf.xacro > robot.urdf"
     )]
     Export(ExportArgs),
     /// Build report.html again from a result folder; it needs neither the data set nor a network.

@@ -29,6 +29,8 @@ pub enum Stage {
     Report,
     /// Comparing with a known truth.
     Evaluate,
+    /// Writing a result as a recording.
+    Export,
 }
 
 impl fmt::Display for Stage {
@@ -46,6 +48,7 @@ impl fmt::Display for Stage {
             Stage::Map => "map",
             Stage::Report => "report",
             Stage::Evaluate => "evaluate",
+            Stage::Export => "export",
         })
     }
 }

@@ -1,13 +1,19 @@
 //! `skclam export`.
 
 use crate::args::Cli;
+use crate::progress::Screen;
 use crate::screen;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueHint};
-use skclam::export::{ExportOptions, UrdfSource, export as write_export};
+use serde::Serialize;
+use skclam::dataset::Dataset;
+use skclam::export::{ExportOptions, Exported, UrdfSource, export as write_export};
 use skclam::kinematics::urdf_ends;
 use skclam::output::StagedFolder;
+use skclam::result_recording::{RecordedResult, ResultRecordingOptions, record_result};
 use skclam::rig::Rig;
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `export`.
@@ -16,9 +22,18 @@ pub struct ExportArgs {
     /// A result folder (with rig.toml), or a calibrated rig file.
     #[arg(value_hint = ValueHint::AnyPath)]
     pub result: PathBuf,
-    /// The rig that the calibration began with; with --urdf it may be left out.
-    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, required_unless_present = "urdf")]
+    /// The rig that the calibration began with; with --urdf or --dataset it may be left out.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, required_unless_present_any = ["urdf", "dataset"])]
     pub nominal: Option<PathBuf>,
+    /// The data set that was calibrated.
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub dataset: Option<PathBuf>,
+    /// Write result.mcap too, for Foxglove and Rerun: images, frames, trajectories, maps, residuals, nominal and calibrated.
+    #[arg(long, requires = "dataset")]
+    pub mcap: bool,
+    /// Leave the residuals out of result.mcap; otherwise the images are matched once more, as in the run.
+    #[arg(long, requires = "mcap")]
+    pub without_residuals: bool,
     /// Robot description to correct; xacro must be expanded before.
     #[arg(long, value_name = "URDF", value_hint = ValueHint::FilePath)]
     pub urdf: Option<PathBuf>,
@@ -42,33 +57,99 @@ pub struct ExportArgs {
     pub out: PathBuf,
 }
 
-/// Writes the calibrated arm in the forms that other programs read.
+/// What was written.
+#[derive(Debug, Serialize)]
+struct Done {
+    /// The arm's files; `null` for a result without an arm.
+    #[serde(flatten)]
+    arm: Option<Exported>,
+    /// `result.mcap`.
+    mcap: Option<RecordedResult>,
+}
+
+/// Writes the calibrated arm in the forms that other programs read, and the result as a recording.
 pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
     let path = if args.result.is_dir() { args.result.join("rig.toml") } else { args.result.clone() };
     let calibrated = Rig::read(path)?;
     let nominal = args.nominal.as_ref().map(Rig::read).transpose()?;
+    let dataset = match (&args.dataset, &nominal) {
+        (Some(folder), Some(rig)) => Some(Dataset::open_with_rig(folder, rig.clone())?),
+        (Some(folder), None) => Some(Dataset::open(folder)?),
+        (None, _) => None,
+    };
     let urdf = match &args.urdf {
         Some(path) => Some(urdf_source(path, args)?),
         None => None,
     };
-    let options = ExportOptions {
+    let nominal = match (nominal, &dataset, &urdf) {
+        (None, Some(dataset), None) => Some(dataset.rig.clone()),
+        (nominal, _, _) => nominal,
+    };
+    let staged = StagedFolder::new(&args.out)?;
+    // A result of flange poses has no arm, but can be looked at.
+    let arm = match calibrated.robot.is_some() || !args.mcap {
+        true => Some(write_export(nominal.as_ref(), &calibrated, urdf.as_ref(), &options(args), &staged)?),
+        false => None,
+    };
+    let mcap = match (&dataset, args.mcap) {
+        (Some(dataset), true) => Some(recording(cli, args, dataset, &staged)?),
+        _ => None,
+    };
+    let folder = staged.publish()?;
+    let done = Done { arm, mcap };
+    if cli.json {
+        println!("{}", serde_json::to_string_pretty(&done)?);
+    } else {
+        show(cli, args, &done, &folder);
+    }
+    Ok(())
+}
+
+fn options(args: &ExportArgs) -> ExportOptions {
+    ExportOptions {
         flange_frame: args.flange_frame.clone(),
         camera_frame: args.camera_frame.clone(),
         ..ExportOptions::default()
+    }
+}
+
+fn recording(cli: &Cli, args: &ExportArgs, dataset: &Dataset, staged: &StagedFolder) -> Result<RecordedResult> {
+    let defaults = ResultRecordingOptions::default();
+    let options = ResultRecordingOptions {
+        flange_frame: args.flange_frame.clone(),
+        camera_frame: args.camera_frame.clone(),
+        residual_lines: defaults.residual_lines.filter(|_| !args.without_residuals),
+        ..defaults
     };
-    let staged = StagedFolder::new(&args.out)?;
-    let exported = write_export(nominal.as_ref(), &calibrated, urdf.as_ref(), &options, &staged)?;
-    let folder = staged.publish()?;
-    if cli.json {
-        println!("{}", serde_json::to_string_pretty(&exported)?);
-        return Ok(());
+    let path = staged.path("result.mcap")?;
+    let file = File::create(&path).with_context(|| path.display().to_string())?;
+    let screen = Screen::new(cli.quiet);
+    let recorded = record_result(dataset, &args.result, &options, BufWriter::new(file), &screen)?;
+    screen.finish();
+    Ok(recorded)
+}
+
+fn show(cli: &Cli, args: &ExportArgs, done: &Done, folder: &Path) {
+    let left_out = done.arm.iter().flat_map(|arm| &arm.left_out);
+    let left_out = left_out.chain(done.mcap.iter().flat_map(|mcap| &mcap.left_out));
+    screen::warn(cli.quiet, &left_out.map(|reason| format!("left out: {reason}")).collect::<Vec<_>>());
+    let mut files = Vec::new();
+    if let Some(arm) = &done.arm {
+        if let (true, Some(diff)) = (args.diff, &arm.urdf_diff) {
+            print!("{diff}");
+        }
+        println!("{}", arm.static_transform);
+        files.extend(arm.files.iter().map(String::as_str));
     }
-    screen::warn(cli.quiet, &exported.left_out.iter().map(|reason| format!("left out: {reason}")).collect::<Vec<_>>());
-    if let (true, Some(diff)) = (args.diff, &exported.urdf_diff) {
-        print!("{diff}");
+    if let Some(mcap) = &done.mcap {
+        let mut table = screen::table(&["topic", "messages"]);
+        for (topic, count) in &mcap.messages {
+            table.add_row([topic.clone(), count.to_string()]);
+        }
+        println!("{table}");
+        files.push("result.mcap");
     }
-    println!("{}\nFiles: {} in {}", exported.static_transform, exported.files.join(", "), folder.display());
-    Ok(())
+    println!("Files: {} in {}", files.join(", "), folder.display());
 }
 
 /// The largest robot description that is read; meshes lie in files of their own.
