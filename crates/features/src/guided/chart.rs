@@ -133,15 +133,25 @@ impl Chart {
         matches!(self, Chart::Polar { .. })
     }
 
-    /// The interval of v within which the band around a line lies for u from `from` to `to`.
+    /// Half of the interval of v that a band takes up at least this far from the epipole; nothing in the straight chart,
+    /// where it depends on the line.
+    pub(super) fn half_at(&self, u: f64, half_width_px: f64) -> f64 {
+        match self {
+            Chart::Polar { off_px, slack_px, .. } => {
+                let width_px = half_width_px + off_px + slack_px;
+                if u > width_px { (width_px / u).asin() * (1.0 + 1e-9) + 1e-12 } else { f64::INFINITY }
+            }
+            Chart::Straight { .. } => 0.0,
+        }
+    }
+
+    /// The interval of v within which the band around a line lies for u from `from` to `to`; `half_at`
+    /// is [`Chart::half_at`] of `from` or less.
     #[inline(always)]
-    pub(super) fn of_band(&self, line: &ChartedLine, from: f64, to: f64) -> Interval {
+    pub(super) fn of_band(&self, line: &ChartedLine, [from, to]: [f64; 2], half_at: f64) -> Interval {
         match *line {
             ChartedLine::Everywhere => Interval::ALL,
-            ChartedLine::Polar { direction, width_px } => {
-                let half = if from > width_px { (width_px / from).asin() } else { f64::INFINITY };
-                Interval { centre: direction, half: half * (1.0 + 1e-9) + 1e-12 }
-            }
+            ChartedLine::Polar { direction } => Interval { centre: direction, half: half_at },
             ChartedLine::Straight { start, slope, half } => {
                 Interval { centre: start + slope * 0.5 * (from + to), half: half + 0.5 * slope.abs() * (to - from) }
             }
@@ -154,10 +164,7 @@ impl Chart {
             return ChartedLine::Everywhere;
         }
         match self {
-            Chart::Polar { off_px, slack_px, .. } => ChartedLine::Polar {
-                direction: direction(Vector2::new(-line.y, line.x)),
-                width_px: half_width_px + off_px + slack_px,
-            },
+            Chart::Polar { .. } => ChartedLine::Polar { direction: direction(Vector2::new(-line.y, line.x)) },
             Chart::Straight { origin, along, slack_px } => {
                 // normal . (origin + u along + v across) + z = 0
                 let at_origin = line.x * origin.x + line.y * origin.y + line.z;
@@ -214,7 +221,7 @@ pub(super) enum ChartedLine {
     /// No line, or none that bounds v.
     Everywhere,
     /// Through the epipole.
-    Polar { direction: f64, width_px: f64 },
+    Polar { direction: f64 },
     /// `v = start + slope * u`, the band `half` to either side along v.
     Straight { start: f64, slope: f64, half: f64 },
 }

@@ -5,7 +5,7 @@
 //! computed in single precision; where that cannot tell (a pair within rounding of a threshold), in double precision.
 
 use super::chart::{Chart, ChartedLine, Extent, Interval};
-use super::strips::{Reach, Site, Stored, Strips};
+use super::strips::{Located, Reach, Site, SortKeys, Strips};
 use super::{NO_KEY, PredictedPoints};
 use crate::FeaturesError;
 use crate::filter::{DescribedPoints, Gate};
@@ -15,12 +15,11 @@ use crate::matching::nearest::{self, Best, INDEX_BITS, LANES, Lanes, NO_BEST, RO
 use multiversion::multiversion;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
+use std::f64::consts::FRAC_PI_2;
 
 /// Rows in the smallest band, and bands at most: each keeps the best of all columns.
 const BAND_ROWS: usize = 512;
 const MAX_BANDS: usize = 32;
-/// Blocks that are masked together.
-const MASKED: usize = 16;
 
 /// Two best keys of each keypoint of A (`distance << 32 | b`), and the best of each of B (`distance << 32 | a`).
 pub(super) type NearestAdmitted = (Vec<[u64; 2]>, Vec<u64>);
@@ -60,57 +59,68 @@ pub(super) fn nearest_admitted(
     let radius_px = points.map_or(f64::INFINITY, |points| points.radius_px);
     let row = |index: usize| {
         let expected = points.and_then(|points| points.in_b[index]);
-        if gate.is_none() && expected.is_none() {
-            return None;
-        }
         let line = chart.charted(&lines[index], reach.half_width_px);
         let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
         let (across, disc) = expected.map_or((everywhere, Interval::ALL), |point| chart.of_disc(&point, radius_px));
-        // Neighbours in the order of the strips; those without a predicted point, by their lines, after them.
-        let sorted_by = match (expected, line) {
-            (Some(point), _) => {
-                let [u, v] = chart.place(&point);
-                (strips.strip(u), v)
-            }
-            (None, ChartedLine::Polar { direction, .. }) => (usize::MAX, direction),
-            (None, ChartedLine::Straight { start, .. }) => (usize::MAX, start),
-            (None, ChartedLine::Everywhere) => (usize::MAX, f64::NEG_INFINITY),
-        };
-        Some(Row { index, expected, line, across, disc, sorted_by })
+        Row { index, expected, line, across, disc }
     };
-    let mut rows: Vec<Row> = (0..a.positions.len()).into_par_iter().with_min_len(1024).filter_map(row).collect();
-    let key = |row: &Row| (row.sorted_by.0, row.sorted_by.1, row.index);
-    rows.sort_unstable_by(|x, y| {
-        let (x, y) = (key(x), key(y));
-        x.0.cmp(&y.0).then(x.1.total_cmp(&y.1)).then(x.2.cmp(&y.2))
-    });
+    let rows: Vec<Row> = (0..a.positions.len()).into_par_iter().with_min_len(1024).map(row).collect();
+    let order = sorted(&rows, gate.is_some(), &strips, &extents[1]);
 
-    let radius = extents.iter().map(|extent| extent.radius).fold(0.0, f64::max);
+    let extent_px = extents.iter().map(|extent| extent.radius).fold(0.0, f64::max);
     let search = Search {
         a,
+        b,
+        gate,
         lines: &lines,
+        rows: &rows,
         strips: &strips,
         kernel,
         thresholds: Thresholds { half_width_px: reach.half_width_px, radius_px },
         middles,
-        // Offsets up to twice the radius: three products and sums of them, each right to 2^-24 of itself.
-        rounding_px: radius * 2f64.powi(-19) + 1e-6,
+        extent_px,
     };
-    let band_rows = BAND_ROWS.max(rows.len().div_ceil(MAX_BANDS)).next_multiple_of(ROWS);
+    let band_rows = BAND_ROWS.max(order.len().div_ceil(MAX_BANDS)).next_multiple_of(ROWS);
     let bands: Vec<(Vec<[u64; 2]>, Vec<Lanes>)> =
-        rows.par_chunks(band_rows).map(|rows| search_band(&search, rows)).collect();
-    for ((best, _), rows) in bands.iter().zip(rows.chunks(band_rows)) {
-        for (best, row) in best.iter().zip(rows) {
-            of_a[row.index] = *best;
+        order.par_chunks(band_rows).map(|order| search_band(&search, order)).collect();
+    for ((best, _), order) in bands.iter().zip(order.chunks(band_rows)) {
+        for (best, &key) in best.iter().zip(order) {
+            of_a[SortKeys::index(key)] = *best;
         }
     }
-    for (block, tags) in strips.blocks.iter().map(|block| &block.tags).enumerate() {
+    for (block, tags) in strips.blocks.iter().map(|located| &located.block.tags).enumerate() {
         for (lane, &tag) in tags.0.iter().enumerate().filter(|(_, tag)| **tag != nearest::NO_KEY) {
             let least = bands.iter().map(|(_, columns)| columns[block].0[lane]).min();
             of_b[tag as usize] = long_key(least.unwrap_or(nearest::NO_KEY));
         }
     }
     Ok((of_a, of_b))
+}
+
+/// The rows that admit anything, neighbours one after the other: by their predicted points as those of B are sorted, or
+/// by their lines. The result does not depend on the order.
+fn sorted(rows: &[Row], by_lines: bool, strips: &Strips, extent: &Extent) -> Vec<u64> {
+    let (low, high) = match strips.chart {
+        Chart::Polar { .. } => (-FRAC_PI_2, FRAC_PI_2),
+        Chart::Straight { .. } => (-extent.radius, extent.radius),
+    };
+    let sort = SortKeys::between(low, high);
+    // After all strips.
+    let unpredicted = (1 << 9) - 1;
+    let key = |row: &Row| match (row.expected, row.line) {
+        (Some(point), _) => {
+            let [u, v] = strips.chart.place(&point);
+            Some(sort.key(strips.strip(u), v, row.index))
+        }
+        (None, _) if !by_lines => None,
+        (None, ChartedLine::Polar { direction: v } | ChartedLine::Straight { start: v, .. }) => {
+            Some(sort.key(unpredicted, v, row.index))
+        }
+        (None, ChartedLine::Everywhere) => Some(sort.key(unpredicted, low, row.index)),
+    };
+    let mut order: Vec<u64> = rows.iter().filter_map(key).collect();
+    order.sort_unstable();
+    order
 }
 
 /// `distance << 22 | index` as `distance << 32 | index`.
@@ -129,7 +139,6 @@ struct Row {
     line: ChartedLine,
     across: [f64; 2],
     disc: Interval,
-    sorted_by: (usize, f64),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -141,13 +150,16 @@ struct Thresholds {
 /// What all bands share.
 struct Search<'a> {
     a: DescribedPoints<'a>,
+    b: DescribedPoints<'a>,
+    gate: Option<&'a Gate>,
+    rows: &'a [Row],
     lines: &'a [Vector3<f64>],
     strips: &'a Strips,
     kernel: Kernel,
     thresholds: Thresholds,
     middles: [Point2<f64>; 2],
-    /// What single precision can be wrong by in a distance, px.
-    rounding_px: f64,
+    /// Half of the larger diagonal of what the keypoints span, px.
+    extent_px: f64,
 }
 
 /// The mask's test of one row in single precision, positions from the middles of the images.
@@ -155,14 +167,27 @@ struct Search<'a> {
 struct CoarseRow {
     line: [f32; 3],
     in_a: [f32; 2],
+    half_width: f32,
     near: [f32; 2],
-    /// Surely within up to the first, surely not beyond the second; squares.
-    radius: [f32; 2],
+    /// With the distance `d` from the predicted point, `d^2 * per_px - radius` is how far beyond the radius it is, near it;
+    /// negative throughout if there is no such point.
+    per_px: f32,
+    radius: f32,
+    /// What single precision can be wrong by, px.
+    rounding: f32,
 }
 
 impl CoarseRow {
     /// Of a row that is missing: refuses everything.
-    const NONE: CoarseRow = CoarseRow { line: [0.0; 3], in_a: [0.0; 2], near: [0.0; 2], radius: [-1.0; 2] };
+    const NONE: CoarseRow = CoarseRow {
+        line: [0.0; 3],
+        in_a: [0.0; 2],
+        half_width: -1e30,
+        near: [0.0; 2],
+        per_px: 0.0,
+        radius: 1e30,
+        rounding: 0.0,
+    };
 }
 
 impl Search<'_> {
@@ -171,114 +196,134 @@ impl Search<'_> {
         let [middle_a, middle_b] = self.middles;
         let in_a = self.a.positions[row.index] - middle_a;
         let near = row.expected.map_or([0.0; 2], |point| (point - middle_b).map(|value| value as f32).into());
-        let radius = self.thresholds.radius_px;
-        let radius = match row.expected {
-            Some(_) => [(radius - self.rounding_px).max(0.0), radius + self.rounding_px],
-            None => [f64::INFINITY; 2],
+        // Half of the square over the radius grows as fast as the distance does at the radius, or faster beyond.
+        let (per_px, radius) = match row.expected {
+            Some(_) => (0.5 / self.thresholds.radius_px, 0.5 * self.thresholds.radius_px),
+            None => (0.0, 1e30),
         };
+        // Sums of a few products of such numbers, each right to 2^-24 of itself; past numbers of which the squares
+        // might overflow, nothing is sure.
+        let reach = self.extent_px
+            + self.gate.map_or(0.0, Gate::half_width_px)
+            + row.expected.map_or(0.0, |point| self.thresholds.radius_px + (point - middle_b).norm());
+        let rounding = if reach < 1e15 { reach * 2f64.powi(-19) + 1e-6 } else { f64::INFINITY };
         CoarseRow {
+            rounding: rounding as f32,
             line: [line.x as f32, line.y as f32, (line.x * middle_b.x + line.y * middle_b.y + line.z) as f32],
             in_a: [in_a.x as f32, in_a.y as f32],
+            half_width: self.thresholds.half_width_px.min(1e30) as f32,
             near,
-            radius: [(radius[0] * radius[0] * (1.0 - 1e-5)) as f32, (radius[1] * radius[1] * (1.0 + 1e-5)) as f32],
+            per_px: per_px as f32,
+            radius: radius as f32,
         }
     }
 
     /// Whether the pair is admitted.
-    fn admits(&self, row: &Row, other: &Stored) -> bool {
-        let off = |line: &Vector3<f64>, point: &Point2<f64>| (line.x * point.x + line.y * point.y + line.z).abs();
-        let Thresholds { half_width_px, radius_px } = self.thresholds;
-        off(&self.lines[row.index], &other.at) <= half_width_px
-            && off(&other.line, &self.a.positions[row.index]) <= half_width_px
-            && row.expected.is_none_or(|point| (other.at - point).norm_squared() <= radius_px * radius_px)
+    fn admits(&self, row: &Row, in_b: &Point2<f64>) -> bool {
+        let Thresholds { radius_px, .. } = self.thresholds;
+        let in_a = &self.a.positions[row.index];
+        self.gate
+            .is_none_or(|gate| gate.admits(&self.lines[row.index], in_b) && gate.admits(&gate.line_in_a(in_b), in_a))
+            && row.expected.is_none_or(|point| (in_b - point).norm_squared() <= radius_px * radius_px)
     }
 }
 
 /// The two best of each row of a band, and the best in it of every column.
 // With wider vectors the mask takes a fraction of the time; what single precision cannot tell is never decided by it.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2"))]
-fn search_band(search: &Search<'_>, rows: &[Row]) -> (Vec<[u64; 2]>, Vec<Lanes>) {
+fn search_band(search: &Search<'_>, order: &[u64]) -> (Vec<[u64; 2]>, Vec<Lanes>) {
     let strips = search.strips;
     let mut columns = vec![Lanes([nearest::NO_KEY; LANES]); strips.blocks.len()];
-    let mut best = Vec::with_capacity(rows.len());
-    let mut refused = [Refused([Lanes([0; LANES]); ROWS]); MASKED];
-    let mut any_left = [false; MASKED];
-    for rows in rows.chunks(ROWS) {
+    let mut best = Vec::with_capacity(order.len());
+    let mut refused = Refused([Lanes([0; LANES]); ROWS]);
+    for keys in order.chunks(ROWS) {
+        let mut rows: [Option<&Row>; ROWS] = [None; ROWS];
         let mut group = RowGroup { words: [[0; 16]; ROWS], tags: [nearest::NO_KEY; ROWS] };
         let mut coarse = [CoarseRow::NONE; ROWS];
         let mut across = [f64::INFINITY, f64::NEG_INFINITY];
-        for (at, row) in rows.iter().enumerate() {
+        for (at, &key) in keys.iter().enumerate() {
+            let row = &search.rows[SortKeys::index(key)];
+            rows[at] = Some(row);
             group.words[at] = words(&search.a.descriptors[row.index]);
             group.tags[at] = row.index as u32;
             coarse[at] = search.coarse(row);
             across = [across[0].min(row.across[0]), across[1].max(row.across[1])];
         }
+        let any_disc = rows.iter().flatten().any(|row| row.expected.is_some());
         let mut lanes: [Best; ROWS] = [NO_BEST; ROWS];
-        let wanted = |from: f64, to: f64| {
-            let of_row = |row: &Row| [strips.chart.of_band(&row.line, from, to), row.disc];
-            strips.chart.union(rows.iter().map(of_row))
+        let wanted = |us: [f64; 2], half_at: f64| {
+            let of_row = |row: &&Row| [strips.chart.of_band(&row.line, us, half_at), row.disc];
+            strips.chart.union(rows.iter().flatten().map(of_row))
         };
         strips.for_each_run(across, wanted, |run| {
-            for first in run.clone().step_by(MASKED) {
-                let part = first..run.end.min(first + MASKED);
-                for (at, block) in part.clone().enumerate() {
-                    any_left[at] = mask(search, rows, &coarse, block, &mut refused[at]);
+            for (located, column) in strips.blocks[run.clone()].iter().zip(&mut columns[run]) {
+                let [any_left, any_unsure] = if any_disc {
+                    mask::<true>(&coarse, &located.site, &mut refused)
+                } else {
+                    mask::<false>(&coarse, &located.site, &mut refused)
+                };
+                if any_unsure {
+                    decide(search, &rows, located, &coarse, &mut refused);
                 }
-                search.kernel.run_where(
-                    &group,
-                    &strips.blocks[part.clone()],
-                    &refused[..part.len()],
-                    &any_left[..part.len()],
-                    &mut lanes,
-                    &mut columns[part],
-                );
+                if any_left {
+                    search.kernel.run_where(&group, &located.block, &refused, &mut lanes, column);
+                }
             }
         });
-        best.extend(lanes[..rows.len()].iter().map(|keys| two_smallest(keys).map(long_key)));
+        best.extend(lanes[..keys.len()].iter().map(|keys| two_smallest(keys).map(long_key)));
     }
     (best, columns)
 }
 
-/// Marks the pairs of a block and a group that are not admitted; whether any is left.
+/// Marks the pairs of a block and a group that are not admitted, but for those of which single precision cannot tell;
+/// whether any is left, and whether there are of the latter.
 #[inline(always)]
-fn mask(search: &Search<'_>, rows: &[Row], coarse: &[CoarseRow; ROWS], block: usize, refused: &mut Refused) -> bool {
-    let site: &Site = &search.strips.sites[block];
-    let half = [
-        (search.thresholds.half_width_px - search.rounding_px) as f32,
-        (search.thresholds.half_width_px + search.rounding_px) as f32,
-    ];
-    let mut any_left = 0u32;
-    for (number, (row, refused)) in coarse.iter().zip(&mut refused.0).enumerate() {
-        let mut unsure = [0u32; LANES];
+fn mask<const DISC: bool>(coarse: &[CoarseRow; ROWS], site: &Site, refused: &mut Refused) -> [bool; 2] {
+    let (mut left, mut unsure) = ([0u32; LANES], [0u32; LANES]);
+    for (row, refused) in coarse.iter().zip(&mut refused.0) {
         for lane in 0..LANES {
-            let (x, y) = (site.x.0[lane], site.y.0[lane]);
-            let in_b = (row.line[0] * x + row.line[1] * y + row.line[2]).abs();
-            let in_a = site.line_x.0[lane] * row.in_a[0] + site.line_y.0[lane] * row.in_a[1];
-            let off = in_b.max((in_a + site.line_offset.0[lane]).abs());
-            let (dx, dy) = (x - row.near[0], y - row.near[1]);
-            let apart = dx * dx + dy * dy;
-            // Comparisons with what is not a number are false, which leaves the pair unsure.
-            let out = (off > half[1]) | (apart > row.radius[1]);
-            let within = (off <= half[0]) & (apart <= row.radius[0]);
-            refused.0[lane] = if out { u32::MAX } else { 0 };
-            unsure[lane] = if out | within { 0 } else { 1 };
-        }
-        any_left |= refused.0.iter().fold(0, |left, lane| left | !lane);
-        if unsure.iter().fold(0, |any, lane| any | lane) != 0 {
-            decide(search, rows.get(number), block, &unsure, refused);
+            let beyond = beyond::<DISC>(row, site, lane);
+            let out = if beyond > row.rounding { u32::MAX } else { 0 };
+            refused.0[lane] = out;
+            left[lane] |= !out;
+            // True also for what is not a number.
+            unsure[lane] |= if beyond.abs() > row.rounding { 0 } else { 1 };
         }
     }
-    any_left != 0
+    [left, unsure].map(|bits| bits.into_iter().fold(0, |any, lane| any | lane) != 0)
+}
+
+/// How far, in px, a pair is beyond the nearest threshold; negative within.
+#[inline(always)]
+fn beyond<const DISC: bool>(row: &CoarseRow, site: &Site, lane: usize) -> f32 {
+    let (x, y) = (site.x.0[lane], site.y.0[lane]);
+    let in_b = row.line[0] * x + row.line[1] * y + row.line[2];
+    let in_a = site.line_x.0[lane] * row.in_a[0] + site.line_y.0[lane] * row.in_a[1] + site.line_offset.0[lane];
+    let larger = |a: f32, b: f32| if a > b { a } else { b };
+    let off = larger(in_b.abs(), in_a.abs()) - row.half_width;
+    if !DISC {
+        return off;
+    }
+    let (dx, dy) = (x - row.near[0], y - row.near[1]);
+    larger((dx * dx + dy * dy) * row.per_px - row.radius, off)
 }
 
 /// Decides in double precision what single precision leaves unsure.
 #[cold]
-fn decide(search: &Search<'_>, row: Option<&Row>, block: usize, unsure: &[u32; LANES], refused: &mut Lanes) {
-    let Some(row) = row else { return };
-    let tags = &search.strips.blocks[block].tags.0;
-    for lane in (0..LANES).filter(|&lane| unsure[lane] != 0 && tags[lane] != nearest::NO_KEY) {
-        if !search.admits(row, &search.strips.stored[block][lane]) {
-            refused.0[lane] = u32::MAX;
+fn decide(
+    search: &Search<'_>,
+    rows: &[Option<&Row>; ROWS],
+    located: &Located,
+    coarse: &[CoarseRow; ROWS],
+    refused: &mut Refused,
+) {
+    for (number, row) in rows.iter().enumerate() {
+        let Some(row) = row else { continue };
+        for (lane, &tag) in located.block.tags.0.iter().enumerate().filter(|(_, tag)| **tag != nearest::NO_KEY) {
+            let surely = beyond::<true>(&coarse[number], &located.site, lane).abs() > coarse[number].rounding;
+            if !surely && !search.admits(row, &search.b.positions[tag as usize]) {
+                refused.0[number].0[lane] = u32::MAX;
+            }
         }
     }
 }

@@ -6,7 +6,7 @@
 
 use super::chart::{Chart, Interval};
 use crate::Descriptor;
-use crate::matching::nearest::{Block, LANES, Lanes, NO_KEY, words};
+use crate::matching::nearest::{Block, INDEX_BITS, LANES, Lanes, NO_KEY, words};
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -31,13 +31,11 @@ pub(super) struct Site {
     pub(super) line_offset: Floats,
 }
 
-/// A keypoint in full precision.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Stored {
-    /// Where it is, px.
-    pub(super) at: Point2<f64>,
-    /// Its epipolar line in the other image, with unit normal, or zero.
-    pub(super) line: Vector3<f64>,
+/// A block and where its keypoints are.
+#[derive(Debug, Clone)]
+pub(super) struct Located {
+    pub(super) block: Block,
+    pub(super) site: Site,
 }
 
 /// A strip: its blocks and what it spans.
@@ -47,6 +45,8 @@ struct Strip {
     /// Least and greatest u of its keypoints.
     from: f64,
     to: f64,
+    /// [`Chart::half_at`] of `from`.
+    half: f64,
 }
 
 /// What is typically looked for, by which the strips are chosen.
@@ -65,10 +65,48 @@ pub(super) struct Strips {
     strips: Vec<Strip>,
     /// Least and greatest v of each block.
     ends: Vec<[f64; 2]>,
-    pub(super) blocks: Vec<Block>,
-    pub(super) sites: Vec<Site>,
-    /// Lane by lane; of lanes without a keypoint the number means nothing.
-    pub(super) stored: Vec<[Stored; LANES]>,
+    pub(super) blocks: Vec<Located>,
+}
+
+/// Sorts by strip and, as finely as it matters, by v; equals by index. Packed into one number, which sorts fast.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SortKeys {
+    low: f64,
+    steps_per_unit: f64,
+}
+
+impl SortKeys {
+    const V_BITS: u32 = 32;
+
+    /// For values of v between two bounds; what is beyond counts as the bound.
+    pub(super) fn between(low: f64, high: f64) -> Self {
+        let steps = (1u64 << Self::V_BITS) as f64 * (1.0 - 1e-9);
+        SortKeys { low, steps_per_unit: if high > low { steps / (high - low) } else { 0.0 } }
+    }
+
+    pub(super) fn key(&self, strip: usize, v: f64, index: usize) -> u64 {
+        // The cast saturates.
+        let step = ((v - self.low) * self.steps_per_unit) as u32;
+        (strip as u64) << (Self::V_BITS + INDEX_BITS) | u64::from(step) << INDEX_BITS | index as u64
+    }
+
+    pub(super) fn strip(key: u64) -> u64 {
+        key >> (Self::V_BITS + INDEX_BITS)
+    }
+
+    pub(super) fn index(key: u64) -> usize {
+        (key & ((1 << INDEX_BITS) - 1)) as usize
+    }
+
+    /// A bound of v for everything at or below (`up` 0) or at and above (`up` 1) the key's place in the order.
+    fn v(&self, key: u64, up: f64) -> f64 {
+        if self.steps_per_unit == 0.0 {
+            return self.low;
+        }
+        // A step more in either direction covers the rounding.
+        let step = (key >> INDEX_BITS) as u32;
+        self.low + (f64::from(step) + 3.0 * up - 1.0) / self.steps_per_unit
+    }
 }
 
 impl Strips {
@@ -84,28 +122,31 @@ impl Strips {
         let places: Vec<[f64; 2]> =
             positions.par_iter().with_min_len(1024).map(|position| chart.place(position)).collect();
         let bounds = bounds(&chart, &places, reach);
-        let strip_of = |u: f64| bounds.partition_point(|bound| *bound <= u);
-        let mut order: Vec<(usize, f64, u32)> =
-            places.iter().zip(0..).map(|(&[u, v], index)| (strip_of(u), v, index)).collect();
-        order.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        let vs = places.iter().map(|place| place[1]);
+        let (low, high) = vs.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        let sort = SortKeys::between(low, high);
+        let key =
+            |(index, &[u, v]): (usize, &[f64; 2])| sort.key(bounds.partition_point(|bound| *bound <= u), v, index);
+        let mut order: Vec<u64> = places.iter().enumerate().map(key).collect();
+        order.sort_unstable();
 
         let mut strips = Vec::new();
-        let mut members: Vec<&[(usize, f64, u32)]> = Vec::new();
-        for strip in order.chunk_by(|a, b| a.0 == b.0) {
-            let us = strip.iter().map(|&(_, _, index)| places[index as usize][0]);
+        let mut members: Vec<&[u64]> = Vec::new();
+        for strip in order.chunk_by(|a, b| SortKeys::strip(*a) == SortKeys::strip(*b)) {
+            let us = strip.iter().map(|&key| places[SortKeys::index(key)][0]);
             let (from, to) = us.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), u| (from.min(u), to.max(u)));
             let first = members.len();
             members.extend(strip.chunks(LANES));
-            strips.push(Strip { blocks: first..members.len(), from, to });
+            let half = chart.half_at(from, reach.half_width_px);
+            strips.push(Strip { blocks: first..members.len(), from, to, half });
         }
-        let ends = members.iter().map(|block| [block[0].1, block[block.len() - 1].1]).collect();
-        let made: Vec<(Block, (Site, [Stored; LANES]))> = members
+        let ends = members.iter().map(|block| [sort.v(block[0], 0.0), sort.v(block[block.len() - 1], 1.0)]).collect();
+        let blocks = members
             .par_iter()
             .with_min_len(64)
-            .map(|members| make_block(members, positions, descriptors, middles, &line))
+            .map(|members| located(members, positions, descriptors, middles, &line))
             .collect();
-        let (blocks, (sites, stored)) = made.into_iter().unzip();
-        Strips { chart, strips, ends, blocks, sites, stored }
+        Strips { chart, strips, ends, blocks }
     }
 
     /// The strip of a coordinate u, or the nearest one.
@@ -114,17 +155,17 @@ impl Strips {
     }
 
     /// Visits the runs of blocks that may hold what lies within `across` (of u) and, for each strip, within the interval
-    /// of v that `wanted` gives for the u of the strip. No block is visited twice.
+    /// of v that `wanted` gives for the u of the strip and its [`Chart::half_at`]. No block is visited twice.
     #[inline(always)]
     pub(super) fn for_each_run(
         &self,
         across: [f64; 2],
-        wanted: impl Fn(f64, f64) -> Interval,
+        wanted: impl Fn([f64; 2], f64) -> Interval,
         mut visit: impl FnMut(Range<usize>),
     ) {
         let first = self.strips.partition_point(|strip| strip.to < across[0]);
         for strip in self.strips[first..].iter().take_while(|strip| strip.from <= across[1]) {
-            let Interval { centre, half } = wanted(strip.from.max(across[0]), strip.to.min(across[1]));
+            let Interval { centre, half } = wanted([strip.from.max(across[0]), strip.to.min(across[1])], strip.half);
             if half.is_infinite() || (self.chart.is_circular() && half >= FRAC_PI_2) {
                 visit(strip.blocks.clone());
                 continue;
@@ -185,23 +226,22 @@ fn bounds(chart: &Chart, places: &[[f64; 2]], reach: Reach) -> Vec<f64> {
     (first..count as usize).map(|strip| near * (spread * strip as f64 / count).exp()).collect()
 }
 
-fn make_block(
-    members: &[(usize, f64, u32)],
+fn located(
+    members: &[u64],
     positions: &[Point2<f64>],
     descriptors: &[Descriptor],
     [middle_a, middle_b]: [Point2<f64>; 2],
     line: &impl Fn(&Point2<f64>) -> Vector3<f64>,
-) -> (Block, (Site, [Stored; LANES])) {
+) -> Located {
     let zero = Floats([0.0; LANES]);
     let mut block = Block { words: [Lanes([0; LANES]); 16], tags: Lanes([NO_KEY; LANES]) };
     let mut site = Site { x: zero, y: zero, line_x: zero, line_y: zero, line_offset: zero };
-    let mut stored = [Stored { at: Point2::origin(), line: Vector3::zeros() }; LANES];
-    for (lane, &(_, _, index)) in members.iter().enumerate() {
-        let at = positions[index as usize];
+    for (lane, &key) in members.iter().enumerate() {
+        let index = SortKeys::index(key);
+        let at = positions[index];
         let line = line(&at);
-        stored[lane] = Stored { at, line };
-        block.tags.0[lane] = index;
-        for (word, value) in words(&descriptors[index as usize]).into_iter().enumerate() {
+        block.tags.0[lane] = index as u32;
+        for (word, value) in words(&descriptors[index]).into_iter().enumerate() {
             block.words[word].0[lane] = value;
         }
         site.x.0[lane] = (at.x - middle_b.x) as f32;
@@ -210,5 +250,5 @@ fn make_block(
         site.line_y.0[lane] = line.y as f32;
         site.line_offset.0[lane] = (line.x * middle_a.x + line.y * middle_a.y + line.z) as f32;
     }
-    (block, (site, stored))
+    Located { block, site }
 }

@@ -68,33 +68,26 @@ impl Kernel {
 pub(crate) struct Refused(pub(crate) [Lanes; ROWS]);
 
 impl Kernel {
-    /// [`Kernel::run`] for the pairs that are not refused; of the columns only the smallest key. Blocks of which
-    /// `any_left` says false are passed over.
+    /// [`Kernel::run`] for the pairs of one block that are not refused; of the columns only the smallest key.
     #[inline]
     pub(crate) fn run_where(
         self,
         group: &RowGroup,
-        blocks: &[Block],
-        refused: &[Refused],
-        any_left: &[bool],
+        block: &Block,
+        refused: &Refused,
         rows: &mut [Best; ROWS],
-        columns: &mut [Lanes],
+        column: &mut Lanes,
     ) {
-        let parts = blocks.iter().zip(refused).zip(any_left).zip(columns);
-        for ((block, refused), column) in
-            parts.filter_map(|(((block, refused), any), column)| any.then_some(((block, refused), column)))
-        {
-            match self {
-                Kernel::Portable => portable_where(group, block, refused, rows, column),
-                // SAFETY: by the invariant of `Kernel`, the variant exists only if the processor has AVX2.
-                #[cfg(target_arch = "x86_64")]
-                #[allow(unsafe_code)]
-                Kernel::Avx2 => unsafe { x86::avx2_where(group, block, refused, rows, column) },
-                // SAFETY: likewise for AVX-512F and VPOPCNTDQ.
-                #[cfg(target_arch = "x86_64")]
-                #[allow(unsafe_code)]
-                Kernel::Avx512 => unsafe { x86::avx512_where(group, block, refused, rows, column) },
-            }
+        match self {
+            Kernel::Portable => portable_where(group, block, refused, rows, column),
+            // SAFETY: by the invariant of `Kernel`, the variant exists only if the processor has AVX2.
+            #[cfg(target_arch = "x86_64")]
+            #[allow(unsafe_code)]
+            Kernel::Avx2 => unsafe { x86::avx2_where(group, block, refused, rows, column) },
+            // SAFETY: likewise for AVX-512F and VPOPCNTDQ.
+            #[cfg(target_arch = "x86_64")]
+            #[allow(unsafe_code)]
+            Kernel::Avx512 => unsafe { x86::avx512_where(group, block, refused, rows, column) },
         }
     }
 }

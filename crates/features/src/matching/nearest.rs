@@ -203,18 +203,20 @@ fn search_band(band: &[Descriptor], blocks: &[Block], kernel: Kernel) -> (Vec<Pa
 }
 
 /// The two smallest keys over all lanes.
+#[inline]
 pub(crate) fn two_smallest(best: &Best) -> [u32; 2] {
-    let mut smallest = [NO_KEY; 2];
-    for (&first, &second) in best[0].0.iter().zip(&best[1].0) {
-        // Of one lane, the second can only matter if its first is among the two smallest.
-        if first < smallest[1] {
-            smallest = [smallest[0].min(first), smallest[1].min(smallest[0].max(first))];
-            if second < smallest[1] {
-                smallest = [smallest[0].min(second), smallest[1].min(smallest[0].max(second))];
-            }
+    let [mut first, mut second] = [best[0].0, best[1].0];
+    // Halves are merged until one lane is left.
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            let larger = first[lane].max(first[lane + half]);
+            first[lane] = first[lane].min(first[lane + half]);
+            second[lane] = second[lane].min(second[lane + half]).min(larger);
         }
+        half /= 2;
     }
-    smallest
+    [first[0], second[0]]
 }
 
 #[cfg(test)]
