@@ -21,4 +21,6 @@ pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use mask::{CameraFixed, MaskOptions, MaskOutcome, MatchedPair, find_camera_fixed, keep_unmasked};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
 pub use refine::{Pyramid, RefineOptions, Refined, Rejection, Seed, WarpModel, refine_matches};
-pub use tracks::{ImagePair, Observation, TrackOptions, TrackPoint, Tracks, build_tracks, refine_tracks};
+pub use tracks::{
+    ImagePair, Observation, TrackOptions, TrackPoint, Tracks, build_tracks, refine_tracks, refine_tracks_in_windows,
+};

@@ -12,7 +12,7 @@
 
 mod refine;
 
-pub use refine::{RefinedTracks, TrackPoint, WarpPrediction, refine_tracks};
+pub use refine::{RefinedTracks, TrackPoint, WarpPrediction, refine_tracks, refine_tracks_in_windows};
 
 use crate::{FeaturesError, Match};
 use serde::{Deserialize, Serialize};

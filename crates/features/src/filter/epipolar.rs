@@ -78,7 +78,8 @@ impl Gate {
 }
 
 fn with_unit_normal(line: Vector3<f64>) -> Vector3<f64> {
-    let normal = line.x.hypot(line.y);
+    // The gate's matrix has entries of at most one: no overflow, and what underflows is the epipole.
+    let normal = (line.x * line.x + line.y * line.y).sqrt();
     if normal > 0.0 { line / normal } else { Vector3::zeros() }
 }
 

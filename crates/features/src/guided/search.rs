@@ -20,6 +20,8 @@ use std::f64::consts::FRAC_PI_2;
 /// Rows in the smallest band, and bands at most: each keeps the best of all columns.
 const BAND_ROWS: usize = 512;
 const MAX_BANDS: usize = 32;
+/// Rows of which the descriptors are fetched together; a multiple of [`ROWS`].
+const FETCHED: usize = 32;
 
 /// Two best keys of each keypoint of A (`distance << 32 | b`), and the best of each of B (`distance << 32 | a`).
 pub(super) type NearestAdmitted = (Vec<[u64; 2]>, Vec<u64>);
@@ -206,7 +208,7 @@ impl Search<'_> {
         let reach = self.extent_px
             + self.gate.map_or(0.0, Gate::half_width_px)
             + row.expected.map_or(0.0, |point| self.thresholds.radius_px + (point - middle_b).norm());
-        let rounding = if reach < 1e15 { reach * 2f64.powi(-19) + 1e-6 } else { f64::INFINITY };
+        let rounding = if reach < 1e15 { reach * 2f64.powi(-20) + 1e-6 } else { f64::INFINITY };
         CoarseRow {
             rounding: rounding as f32,
             line: [line.x as f32, line.y as f32, (line.x * middle_b.x + line.y * middle_b.y + line.z) as f32],
@@ -236,7 +238,15 @@ fn search_band(search: &Search<'_>, order: &[u64]) -> (Vec<[u64; 2]>, Vec<Lanes>
     let mut columns = vec![Lanes([nearest::NO_KEY; LANES]); strips.blocks.len()];
     let mut best = Vec::with_capacity(order.len());
     let mut refused = Refused([Lanes([0; LANES]); ROWS]);
-    for keys in order.chunks(ROWS) {
+    // Fetched some groups ahead, all at once: the keypoints lie scattered, and so their memory is waited for together.
+    let mut fetched = [[0u32; 16]; FETCHED];
+    for (number, keys) in order.chunks(ROWS).enumerate() {
+        let first = number * ROWS % FETCHED;
+        if first == 0 {
+            for (words_of_row, &key) in fetched.iter_mut().zip(&order[number * ROWS..]) {
+                *words_of_row = words(&search.a.descriptors[SortKeys::index(key)]);
+            }
+        }
         let mut rows: [Option<&Row>; ROWS] = [None; ROWS];
         let mut group = RowGroup { words: [[0; 16]; ROWS], tags: [nearest::NO_KEY; ROWS] };
         let mut coarse = [CoarseRow::NONE; ROWS];
@@ -244,7 +254,7 @@ fn search_band(search: &Search<'_>, order: &[u64]) -> (Vec<[u64; 2]>, Vec<Lanes>
         for (at, &key) in keys.iter().enumerate() {
             let row = &search.rows[SortKeys::index(key)];
             rows[at] = Some(row);
-            group.words[at] = words(&search.a.descriptors[row.index]);
+            group.words[at] = fetched[first + at];
             group.tags[at] = row.index as u32;
             coarse[at] = search.coarse(row);
             across = [across[0].min(row.across[0]), across[1].max(row.across[1])];

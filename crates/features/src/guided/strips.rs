@@ -236,14 +236,21 @@ fn located(
     let zero = Floats([0.0; LANES]);
     let mut block = Block { words: [Lanes([0; LANES]); 16], tags: Lanes([NO_KEY; LANES]) };
     let mut site = Site { x: zero, y: zero, line_x: zero, line_y: zero, line_offset: zero };
+    // All fetched at once: the keypoints lie scattered, and so their memory is waited for together.
+    let mut fetched = [[0; 16]; LANES];
+    for (fetched, &key) in fetched.iter_mut().zip(members) {
+        *fetched = words(&descriptors[SortKeys::index(key)]);
+    }
+    for (word, lanes) in block.words.iter_mut().enumerate() {
+        for (value, fetched) in lanes.0.iter_mut().zip(&fetched) {
+            *value = fetched[word];
+        }
+    }
     for (lane, &key) in members.iter().enumerate() {
         let index = SortKeys::index(key);
         let at = positions[index];
         let line = line(&at);
         block.tags.0[lane] = index as u32;
-        for (word, value) in words(&descriptors[index]).into_iter().enumerate() {
-            block.words[word].0[lane] = value;
-        }
         site.x.0[lane] = (at.x - middle_b.x) as f32;
         site.y.0[lane] = (at.y - middle_b.y) as f32;
         site.line_x.0[lane] = line.x as f32;

@@ -5,6 +5,7 @@ use crate::refine::{Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed};
 use crate::{FeaturesError, KeyPoint};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Predicts how the patch at the first observation (the reference) changes into the patch at the second: a small offset
 /// `d` in the first image becomes `M d` in the second. `None` where nothing is predicted.
@@ -79,45 +80,142 @@ pub fn refine_tracks(
         let what = "prepared images for lists of keypoints";
         return Err(FeaturesError::CountMismatch { what, got: pyramids.len(), need: keypoints.len() });
     }
-    for observation in &tracks.observations {
-        let (image, keypoint) = (observation.image as usize, observation.keypoint as usize);
-        let Some(of_image) = keypoints.get(image) else {
-            return Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: keypoints.len() });
+    let work = Work::new(tracks, keypoints, predicted, options)?;
+    let mut points = work.unaligned();
+    work.align(&work.alignments(), |image| &pyramids[image as usize], &mut points);
+    Ok(RefinedTracks { points })
+}
+
+/// [`refine_tracks`] with at most `window` prepared images at a time (at least two), which `prepare` makes as they are
+/// needed. The result is the same; an image is prepared again when its turn comes again.
+///
+/// Images are taken in groups of half a window, and all pairs of groups that share a track in ascending order.
+///
+/// # Errors
+/// As [`refine_tracks`], and those of `prepare`.
+pub fn refine_tracks_in_windows<E: From<FeaturesError> + Send>(
+    tracks: &Tracks,
+    keypoints: &[&[KeyPoint]],
+    window: usize,
+    prepare: impl Fn(usize) -> Result<Pyramid, E> + Sync,
+    predicted: Option<WarpPrediction<'_>>,
+    options: &RefineOptions,
+) -> Result<RefinedTracks, E> {
+    let work = Work::new(tracks, keypoints, predicted, options)?;
+    let mut points = work.unaligned();
+    let group_of = |image: u32| image as usize / (window / 2).max(1);
+    let groups = |alignment: &Alignment| {
+        let [from, to] = [alignment.reference, alignment.observation].map(|at| group_of(tracks.observations[at].image));
+        (from.min(to), from.max(to))
+    };
+    let mut alignments = work.alignments();
+    alignments.sort_by_key(|alignment| (groups(alignment), alignment.observation));
+    let mut ready: BTreeMap<u32, Pyramid> = BTreeMap::new();
+    for together in alignments.chunk_by(|a, b| groups(a) == groups(b)) {
+        let (first, second) = groups(&together[0]);
+        ready.retain(|&image, _| group_of(image) == first || group_of(image) == second);
+        let images = together.iter().flat_map(|alignment| [alignment.reference, alignment.observation]);
+        let mut missing: Vec<u32> = images.map(|at| tracks.observations[at].image).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        missing.retain(|image| !ready.contains_key(image));
+        let made: Vec<(u32, Pyramid)> =
+            missing.into_par_iter().map(|image| Ok((image, prepare(image as usize)?))).collect::<Result<_, E>>()?;
+        ready.extend(made);
+        work.align(together, |image| &ready[&image], &mut points);
+    }
+    Ok(RefinedTracks { points })
+}
+
+/// One observation to align, and what with; indices of observations.
+#[derive(Debug, Clone, Copy)]
+struct Alignment {
+    reference: usize,
+    observation: usize,
+}
+
+/// What is the same for all alignments.
+struct Work<'a> {
+    tracks: &'a Tracks,
+    keypoints: &'a [&'a [KeyPoint]],
+    predicted: Option<WarpPrediction<'a>>,
+    refiner: Refiner,
+}
+
+impl<'a> Work<'a> {
+    fn new(
+        tracks: &'a Tracks,
+        keypoints: &'a [&'a [KeyPoint]],
+        predicted: Option<WarpPrediction<'a>>,
+        options: &RefineOptions,
+    ) -> Result<Self, FeaturesError> {
+        for observation in &tracks.observations {
+            let (image, keypoint) = (observation.image as usize, observation.keypoint as usize);
+            let Some(of_image) = keypoints.get(image) else {
+                return Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: keypoints.len() });
+            };
+            if keypoint >= of_image.len() {
+                return Err(FeaturesError::NoSuchIndex { what: "keypoint", index: keypoint, count: of_image.len() });
+            }
+        }
+        Ok(Work { tracks, keypoints, predicted, refiner: Refiner::new(options)? })
+    }
+
+    fn keypoint(&self, observation: &Observation) -> &'a KeyPoint {
+        &self.keypoints[observation.image as usize][observation.keypoint as usize]
+    }
+
+    /// Every observation where its keypoint is.
+    fn unaligned(&self) -> Vec<TrackPoint> {
+        let position = |observation| {
+            let keypoint = self.keypoint(observation);
+            Point2::new(f64::from(keypoint.x), f64::from(keypoint.y))
         };
-        if keypoint >= of_image.len() {
-            return Err(FeaturesError::NoSuchIndex { what: "keypoint", index: keypoint, count: of_image.len() });
+        self.tracks
+            .observations
+            .iter()
+            .map(|observation| TrackPoint::Reference { position: position(observation) })
+            .collect()
+    }
+
+    /// All that is to be done, in the order of the observations.
+    fn alignments(&self) -> Vec<Alignment> {
+        let mut alignments = Vec::with_capacity(self.tracks.observations.len());
+        for ends in self.tracks.starts.windows(2) {
+            let range = ends[0]..ends[1];
+            let reference =
+                ends[0] + reference(&self.tracks.observations[range.clone()], |observation| self.keypoint(observation));
+            let others = range.filter(|&observation| observation != reference);
+            alignments.extend(others.map(|observation| Alignment { reference, observation }));
+        }
+        alignments
+    }
+
+    /// Aligns, and puts each answer in its observation's place.
+    fn align<'p>(
+        &self,
+        alignments: &[Alignment],
+        pyramid: impl Fn(u32) -> &'p Pyramid + Sync,
+        points: &mut [TrackPoint],
+    ) {
+        let align = |refiner: &mut Refiner, alignment: &Alignment| {
+            let [from, to] =
+                [alignment.reference, alignment.observation].map(|observation| &self.tracks.observations[observation]);
+            let mut seed = Seed::from_keypoints(self.keypoint(from), self.keypoint(to));
+            if let Some(warp) = self.predicted.and_then(|predicted| predicted(*from, *to)) {
+                seed.b_from_a = warp;
+            }
+            match refiner.refine(pyramid(from.image), pyramid(to.image), &seed) {
+                Ok(refined) => TrackPoint::Refined(refined),
+                Err(rejection) => TrackPoint::Rejected(rejection),
+            }
+        };
+        let aligned: Vec<TrackPoint> =
+            alignments.par_iter().with_min_len(64).map_init(|| self.refiner.clone(), align).collect();
+        for (alignment, point) in alignments.iter().zip(aligned) {
+            points[alignment.observation] = point;
         }
     }
-    let refiner = Refiner::new(options)?;
-    let of = |observation: &Observation| &keypoints[observation.image as usize][observation.keypoint as usize];
-    let tracks: Vec<&[Observation]> = tracks.iter().collect();
-    let refined: Vec<Vec<TrackPoint>> = tracks
-        .par_iter()
-        .with_min_len(16)
-        .map_init(
-            || refiner.clone(),
-            |refiner, track| {
-                let reference = reference(track, of);
-                let (from, named) = (&track[reference], of(&track[reference]));
-                let align = |(index, to): (usize, &Observation)| {
-                    let mut seed = Seed::from_keypoints(named, of(to));
-                    if index == reference {
-                        return TrackPoint::Reference { position: seed.in_a };
-                    }
-                    if let Some(warp) = predicted.and_then(|predicted| predicted(*from, *to)) {
-                        seed.b_from_a = warp;
-                    }
-                    let pyramids = [from, to].map(|observation| &pyramids[observation.image as usize]);
-                    match refiner.refine(pyramids[0], pyramids[1], &seed) {
-                        Ok(refined) => TrackPoint::Refined(refined),
-                        Err(rejection) => TrackPoint::Rejected(rejection),
-                    }
-                };
-                track.iter().enumerate().map(align).collect()
-            },
-        )
-        .collect();
-    Ok(RefinedTracks { points: refined.into_iter().flatten().collect() })
 }
 
 /// Index of the observation that names the point.
@@ -195,6 +293,19 @@ mod tests {
             }
         }
         assert_eq!((refined.refined(), refined.rejected()), (35, 1));
+        // However few images are at hand at a time, the answers are the same.
+        for window in 0..6 {
+            let made = std::sync::atomic::AtomicUsize::new(0);
+            let prepare = |image: usize| {
+                made.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                Ok::<_, FeaturesError>(pyramids[image].clone())
+            };
+            let windowed = refine_tracks_in_windows(&tracks, &lists, window, prepare, None, &options).unwrap();
+            assert_eq!(windowed, refined, "{window}");
+            assert!(made.into_inner() <= 8);
+        }
+        let failing = |image| Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: 0 });
+        assert!(refine_tracks_in_windows(&tracks, &lists, 2, failing, None, &options).is_err());
         // A prediction that is nonsense is used, and tells.
         let nonsense = |_: Observation, _: Observation| Some(Matrix2::new(0.0, -1.0, 1.0, 0.0));
         let wrong = refine_tracks(&tracks, &lists, &pyramids, Some(&nonsense), &options).unwrap();

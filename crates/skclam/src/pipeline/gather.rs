@@ -16,7 +16,6 @@ pub(super) struct Gathered {
     pub pairs: Vec<MatchedPair>,
     pub data: Correspondences,
     pub tracks: Option<TrackSummary>,
-    pub told: Vec<String>,
     pub camera_fixed: Option<(CameraFixed, CameraFixedSummary)>,
 }
 
@@ -30,7 +29,7 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
         None => drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?,
     };
     let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
-    let (data, tracks, told) = correspondences(dataset, &images, &pairs, config, progress)?;
+    let (data, tracks) = correspondences(dataset, &images, &pairs, config, progress)?;
     if data.match_count() == 0 {
         let total = total_counts(&pairs);
         return Err(RunError::NoMatches {
@@ -41,5 +40,5 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
             matches: 0,
         });
     }
-    Ok(Gathered { images, pairs, data, tracks, told, camera_fixed })
+    Ok(Gathered { images, pairs, data, tracks, camera_fixed })
 }

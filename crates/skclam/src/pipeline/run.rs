@@ -95,7 +95,8 @@ const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let Gathered { images, pairs, data, tracks, mut told, camera_fixed } = gather(dataset, config, progress)?;
+    let Gathered { images, pairs, data, tracks, camera_fixed } = gather(dataset, config, progress)?;
+    let mut told: Vec<String> = Vec::new();
     let calibration = calibrate(dataset, &data, config, progress)?;
     let held_out = hold_out(dataset, &data, config, progress)?;
     if let Err(reason) = &held_out {

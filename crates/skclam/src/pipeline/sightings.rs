@@ -4,12 +4,12 @@ use super::{Config, ImageFeatures, MatchedPair, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use nalgebra::Matrix2;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance};
 use skclam_features::tracks::TrackCounts;
-use skclam_features::{KeyPoint, Pyramid, Tracks, build_tracks, refine_tracks};
+use skclam_features::{KeyPoint, Pyramid, Tracks, build_tracks, refine_tracks_in_windows};
 use skclam_geometry::Pixel;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How tracks were built, for the summary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -24,7 +24,7 @@ pub struct TrackSummary {
     pub rejected: usize,
 }
 
-/// Memory that the prepared images may take while tracks are refined; beyond it positions stay as they were detected.
+/// Memory that the prepared images may take while tracks are refined; beyond it they are prepared some at a time.
 const PYRAMID_BYTES: f64 = 1.2e9;
 /// Bytes a pixel of a prepared image.
 const PYRAMID_BYTES_A_PIXEL: f64 = 2.7;
@@ -43,12 +43,12 @@ pub fn correspondences(
     pairs: &[MatchedPair],
     config: &Config,
     progress: &dyn Progress,
-) -> Result<(Correspondences, Option<TrackSummary>, Vec<String>), RunError> {
+) -> Result<(Correspondences, Option<TrackSummary>), RunError> {
     let postures = dataset.records.iter().map(|record| record.posture.clone()).collect();
     let Some(options) = &config.tracks else {
         let pairs =
             pair_matches(images, pairs, |image, keypoint| Some(detected(&images[image].features.keypoints[keypoint])));
-        return Ok((Correspondences { postures, pairs, ..Correspondences::default() }, None, Vec::new()));
+        return Ok((Correspondences { postures, pairs, ..Correspondences::default() }, None));
     };
     progress.begin(Stage::BuildTracks, dataset.len() as u64);
     let keypoints: Vec<&[KeyPoint]> = images.iter().map(|image| image.features.keypoints.as_slice()).collect();
@@ -63,7 +63,7 @@ pub fn correspondences(
         .collect();
     let tracks = thinned(build_tracks(&counts, &links, options)?, config.max_sightings);
     let mut summary = TrackSummary { links: tracks.counts, used: tracks.len(), ..TrackSummary::default() };
-    let (measured, warnings) = measure(dataset, images, &tracks, &keypoints, config, progress, &mut summary)?;
+    let measured = measure(dataset, images, &tracks, &keypoints, config, progress, &mut summary)?;
 
     // One measurement a keypoint, for the pairs; `None` where a sighting was dropped or belongs to no track.
     let mut by_keypoint: Vec<Vec<Option<Measurement>>> = counts.iter().map(|&count| vec![None; count]).collect();
@@ -87,7 +87,7 @@ pub fn correspondences(
         tracks: tracks.starts.windows(2).filter_map(|ends| of_track(ends[0]..ends[1])).collect(),
         boards: Vec::new(),
     };
-    Ok((data, Some(summary), warnings))
+    Ok((data, Some(summary)))
 }
 
 /// Every k-th track, evenly over the recording, so that about `max_sightings` are left: the error falls only with the root
@@ -115,44 +115,36 @@ fn measure(
     config: &Config,
     progress: &dyn Progress,
     summary: &mut TrackSummary,
-) -> Result<(Vec<Option<Measurement>>, Vec<String>), RunError> {
+) -> Result<Vec<Option<Measurement>>, RunError> {
     let as_detected = || {
         let of = |observation: &skclam_features::Observation| {
             detected(&keypoints[observation.image as usize][observation.keypoint as usize])
         };
         tracks.observations.iter().map(|observation| Some(of(observation))).collect::<Vec<_>>()
     };
-    let Some(options) = &config.refine else { return Ok((as_detected(), Vec::new())) };
+    let Some(options) = &config.refine else { return Ok(as_detected()) };
     let camera = &dataset.rig.color;
-    let pixels = f64::from(camera.width) * f64::from(camera.height) * dataset.len() as f64;
-    if pixels * PYRAMID_BYTES_A_PIXEL > PYRAMID_BYTES {
-        let need = pixels * PYRAMID_BYTES_A_PIXEL / 1e9;
-        let warning = format!(
-            "positions of keypoints were not refined: {} images would take {need:.1} GB, above the limit of {:.1} GB; use fewer postures",
-            dataset.len(),
-            PYRAMID_BYTES / 1e9
-        );
-        return Ok((as_detected(), vec![warning]));
-    }
-    let pyramids = images
-        .par_iter()
-        .enumerate()
-        .map(|(index, image)| {
-            if progress.stop_requested() {
-                return Err(RunError::Interrupted);
-            }
-            let pyramid = match &image.gray {
-                Some(gray) => Pyramid::new(gray),
-                None => Pyramid::new(&dataset.gray(index)?),
-            };
+    let bytes = f64::from(camera.width) * f64::from(camera.height) * PYRAMID_BYTES_A_PIXEL;
+    let window = (PYRAMID_BYTES / bytes) as usize;
+    let counted: Vec<AtomicBool> = images.iter().map(|_| AtomicBool::new(false)).collect();
+    let prepare = |index: usize| {
+        if progress.stop_requested() {
+            return Err(RunError::Interrupted);
+        }
+        let pyramid = match &images[index].gray {
+            Some(gray) => Pyramid::new(gray),
+            None => Pyramid::new(&dataset.gray(index)?),
+        };
+        // An image that must be prepared again is no further step.
+        if !counted[index].swap(true, Ordering::Relaxed) {
             progress.step();
-            Ok(pyramid)
-        })
-        .collect::<Result<Vec<_>, RunError>>()?;
-    let refined = refine_tracks(tracks, keypoints, &pyramids, None, options)?;
+        }
+        Ok(pyramid)
+    };
+    let refined = refine_tracks_in_windows(tracks, keypoints, window, prepare, None, options)?;
     summary.refined = refined.refined();
     summary.rejected = refined.rejected();
-    Ok((refined.points.iter().map(|point| point.measurement(REFERENCE_SIGMA_PX)).collect(), Vec::new()))
+    Ok(refined.points.iter().map(|point| point.measurement(REFERENCE_SIGMA_PX)).collect())
 }
 
 fn detected(keypoint: &KeyPoint) -> Measurement {

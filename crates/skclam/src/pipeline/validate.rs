@@ -50,7 +50,7 @@ pub fn validate(
     config: &Config,
     progress: &dyn Progress,
 ) -> Result<Validation, RunError> {
-    let Gathered { data, told, .. } = gather(dataset, config, progress)?;
+    let Gathered { data, .. } = gather(dataset, config, progress)?;
     progress.begin(Stage::Validate, 2);
     let fitted = |rig: &Rig| -> Result<Model, RunError> {
         let model = match refit {
@@ -93,7 +93,7 @@ pub fn validate(
             mount_only: None,
             calibrated,
         }),
-        warnings: told,
+        warnings: Vec::new(),
     })
 }
 
