@@ -6,11 +6,11 @@
 //! interpolated by a cubic with nine samples a pixel; AKAZE features of both are matched (ratio 0.8, cross-check);
 //! a match within 3 px of the truth is correct.
 
+use cpu_time::ProcessTime;
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix3, Point2};
 use skclam_features::{Akaze, AkazeOptions, MatchOptions, Pyramid, RefineOptions, Refined, Seed};
 use skclam_features::{match_descriptors, refine_matches};
-use std::time::Instant;
 
 const IMAGES: [&str; 6] = [
     "homographies/boat/img1.pgm",
@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("view 10 to 40 deg", [10.0, 20.0, 30.0, 40.0].map(|side| [10.0, 1.0, side]).to_vec()),
     ];
     println!(
-        "image, group: correct matches; refined; median error before, after (px); 95 % after; off by > 0.5 px; nees; us a match"
+        "image, group: correct matches; refined; median error before, after (px); 95 % after; off by > 0.5 px; nees; us of the processor a match"
     );
     let mut all: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); groups.len()];
     for name in IMAGES {
@@ -109,7 +109,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                         truths.push(truth);
                     }
                 }
-                let start = Instant::now();
+                let start = ProcessTime::now();
                 let refined = refine_matches(&pyramid_a, &pyramid_b, &seeds, &RefineOptions::default())?;
                 seconds += start.elapsed().as_secs_f64();
                 count += seeds.len();

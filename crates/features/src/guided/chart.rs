@@ -96,7 +96,7 @@ impl Chart {
         let second = farthest(first);
         let meet = second.cross(&farthest(&second));
         let direction = Vector2::new(meet.x, meet.y);
-        if !(meet.norm() > 0.0) {
+        if meet == Vector3::zeros() {
             // All lines are one.
             return straight(Vector2::new(-first.y, first.x));
         }

@@ -161,6 +161,7 @@ mod x86 {
     /// The distances of a block's lanes to each row.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vpopcntdq")]
+    #[allow(clippy::needless_range_loop)] // As below.
     fn distances512(group: &RowGroup, block: &Block) -> [__m512i; ROWS] {
         let mut distances = [_mm512_setzero_si512(); ROWS];
         for word in 0..16 {
@@ -259,6 +260,7 @@ mod x86 {
     /// The distances of half of a block's lanes to each row.
     #[inline]
     #[target_feature(enable = "avx2")]
+    #[allow(clippy::needless_range_loop)] // As above.
     fn distances256(group: &RowGroup, block: &Block, half: usize) -> [__m256i; ROWS] {
         let mut counts = [_mm256_setzero_si256(); ROWS];
         for word in 0..16 {
