@@ -33,6 +33,11 @@ bench-features *ARGS:
 bench-mapping *ARGS:
     sh benchmarks/mapping/run.sh {{ ARGS }}
 
+# Damaged recordings, rigs, tables and URDFs, COUNT of each kind; `just fuzz 1000` for a look.
+fuzz COUNT="1000000":
+    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam-recordings --release --test mutations -- mutated --nocapture
+    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam --release --test mutated_texts -- mutated --nocapture
+
 # Everything that must hold before a change lands.
 ci:
     bash .ci/run
