@@ -128,8 +128,8 @@ pub enum Rejection {
 
 /// Keypoint diameter for which one sample is one pixel of the full image (AKAZE's finest level has 4.8).
 const FINEST_SIZE_PX: f64 = 5.0;
-/// At rest, px of the level.
-const AT_REST: f64 = 0.003;
+/// At rest, px of the level: the step after one of this length is a fraction of it.
+const AT_REST: f64 = 0.008;
 /// Least contrast (standard deviation) of a patch, grey values.
 const LEAST_CONTRAST: f64 = 1.0;
 /// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
@@ -287,7 +287,7 @@ fn refine_at(
     if !at_rest {
         return Err(Rejection::NotConverged);
     }
-    let Fit { correlation, covariance } = template.fit(level, &warp, freedom).ok_or(Rejection::NoTexture)?;
+    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
     if correlation < options.min_correlation {
         return Err(Rejection::PoorCorrelation);
     }

@@ -35,6 +35,8 @@ pub(super) struct Template {
     derivatives: [Vec<f32>; PARAMETERS],
     /// Sums of products of the derivatives.
     normal: SMatrix<f64, PARAMETERS, PARAMETERS>,
+    /// Zero-mean normalised correlation at the last step.
+    correlation: f64,
     /// Patches being compared, and one with a margin for differences.
     other: Vec<f32>,
     margin: Vec<f32>,
@@ -96,6 +98,7 @@ impl Template {
             weights,
             derivatives: std::array::from_fn(|_| vec![0.0; length]),
             normal: SMatrix::zeros(),
+            correlation: 0.0,
             other: vec![0.0; length],
             margin: vec![0.0; (count + 2) * (count + 2)],
         }
@@ -121,7 +124,8 @@ impl Template {
     ///
     /// Returns by how much the centre moved, px of the level.
     pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, freedom: Freedom) -> Option<f64> {
-        let gain = self.look(level, warp)?.gain;
+        let Look { gain, correlation } = self.look(level, warp)?;
+        self.correlation = correlation;
         let right = right_side(&self.derivatives, &self.other, self.mean);
         let right = SVector::<f64, PARAMETERS>::from(right.map(|sum| gain * f64::from(sum)));
         let (shift, linear) = match freedom {
@@ -148,17 +152,18 @@ impl Template {
         Some(moved.norm())
     }
 
-    /// How well the warp fits where it is.
-    pub(super) fn fit(&mut self, level: &Level, warp: &Warp, freedom: Freedom) -> Option<Fit> {
-        let look = self.look(level, warp)?;
+    /// How well the warp fits, by the patch that the last step saw: where that moved little, it is as good as the one
+    /// where it went to.
+    pub(super) fn fit(&self, warp: &Warp, freedom: Freedom) -> Option<Fit> {
+        let correlation = self.correlation;
         // What gain and bias leave: both patches have noise, hence the factor two of a small disagreement.
-        let noise = 2.0 * (1.0 - look.correlation).max(1e-6) * self.energy / self.weights_sum * self.weights_mean;
+        let noise = 2.0 * (1.0 - correlation).max(1e-6) * self.energy / self.weights_sum * self.weights_mean;
         let shift = match freedom {
             Freedom::Shift => self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?,
             Freedom::Affine => self.normal.cholesky()?.inverse().fixed_view::<2, 2>(0, 0).into_owned(),
         };
         let covariance = warp.linear * (shift * noise) * warp.linear.transpose();
-        covariance.iter().all(|value| value.is_finite()).then_some(Fit { correlation: look.correlation, covariance })
+        covariance.iter().all(|value| value.is_finite()).then_some(Fit { correlation, covariance })
     }
 
     /// Samples image B at the warp.

@@ -36,10 +36,14 @@ impl Cubic {
         Cubic(std::array::from_fn(|power| std::array::from_fn(|sample| blend(sample, power))))
     }
 
+    /// Of both axes side by side, which is one vector.
     #[inline(always)]
-    fn weights(&self, t: f32) -> [f32; 4] {
-        std::array::from_fn(|sample| {
-            ((self.0[3][sample] * t + self.0[2][sample]) * t + self.0[1][sample]) * t + self.0[0][sample]
+    fn weights(&self, tx: f32, ty: f32) -> [f32; 8] {
+        let t = [tx, tx, tx, tx, ty, ty, ty, ty];
+        let [c0, c1, c2, c3] = &self.0;
+        std::array::from_fn(|at| {
+            let sample = at % 4;
+            ((c3[sample] * t[at] + c2[sample]) * t[at] + c1[sample]) * t[at] + c0[sample]
         })
     }
 }
@@ -161,17 +165,18 @@ fn interpolate(
             let u = u as f32 - half;
             let (x, y) = (x0 + step[0][0] * u, y0 + step[1][0] * u);
             let (floor_x, floor_y) = (x as i32, y as i32);
-            let (wx, wy) = (cubic.weights(x - floor_x as f32), cubic.weights(y - floor_y as f32));
+            let weights = cubic.weights(x - floor_x as f32, y - floor_y as f32);
             let first = (start + i64::from(floor_y) * width as i64 + i64::from(floor_x)) as usize;
             let mut columns = [0.0f32; 4];
-            for (row, weight) in wy.into_iter().enumerate() {
+            for (row, &weight) in weights[4..].iter().enumerate() {
                 let at = first + row * width;
                 let samples: &[u16; 4] = values[at..at + 4].try_into().expect("four values");
                 for (column, sample) in columns.iter_mut().zip(samples) {
                     *column += weight * f32::from(*sample);
                 }
             }
-            let sum = (columns[0] * wx[0] + columns[2] * wx[2]) + (columns[1] * wx[1] + columns[3] * wx[3]);
+            let [w0, w1, w2, w3, ..] = weights;
+            let sum = (columns[0] * w0 + columns[2] * w2) + (columns[1] * w1 + columns[3] * w3);
             *value = sum * (1.0 / UNITS);
         }
     }
