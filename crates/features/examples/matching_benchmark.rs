@@ -4,13 +4,15 @@
 //! wall clock and of the processor: of exhaustive matching, and of guided matching, keypoints spread over 1920 x 1080,
 //! for half widths of the band from 2 to 200 px. `side`: along the epipolar lines of a camera that moves to the side and
 //! turns; `ahead`: the epipole in the image; `depth`: to the side, and within 200 px of a predicted point, as in the
-//! pipeline. A fourth argument names the one kind to run, once, for counting instructions. Threads: `RAYON_NUM_THREADS`.
+//! pipeline; and of refining 2,000 matches (`refinement`). A fourth argument names the one kind to run, once, for counting instructions. Threads: `RAYON_NUM_THREADS`.
 
 use cpu_time::ProcessTime;
-use nalgebra::{Matrix3, Point2, Rotation3, Vector2, Vector3};
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix3, Point2, Rotation3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use skclam_features::{DescribedPoints, Descriptor, FeaturesError, FilterOptions, MatchOptions};
-use skclam_features::{PredictedPoints, Prediction, match_descriptors, match_guided};
+use skclam_features::{PredictedPoints, Prediction, Pyramid, RefineOptions, Seed};
+use skclam_features::{match_descriptors, match_guided, refine_matches};
 use std::time::Instant;
 
 fn read(path: &str) -> std::io::Result<Vec<Descriptor>> {
@@ -71,5 +73,28 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             run(&format!("{motion}_{half_width}"), &|| Ok(match_guided(a, b, &prediction, &options)?.matches.len()))?;
         }
     }
+
+    // A smooth pattern without repetition, and the same moved by fractions of a pixel, slightly turned and larger.
+    let pattern = |x: f64, y: f64| {
+        let waves = (0.31 * x + 0.17 * y).sin() + (0.22 * x - 0.41 * y).sin() + (0.0013 * x * y).sin();
+        image::Luma([(127.0 + 35.0 * waves) as u8])
+    };
+    let b_from_a = Matrix2::new(1.08, -0.06, 0.06, 1.08);
+    let a_from_b = b_from_a.try_inverse().ok_or("singular")?;
+    let seen = |x: u32, y: u32| a_from_b * Vector2::new(f64::from(x) - 3.3, f64::from(y) + 2.7);
+    let image_a = GrayImage::from_fn(640, 480, |x, y| pattern(f64::from(x), f64::from(y)));
+    let image_b = GrayImage::from_fn(640, 480, |x, y| pattern(seen(x, y).x, seen(x, y).y));
+    let seeds: Vec<Seed> = (0..2000)
+        .map(|index| {
+            let in_a = Point2::new(60.0 + f64::from(index % 50) * 9.3, 60.0 + f64::from(index / 50) * 8.1);
+            let truth = b_from_a * in_a.coords + Vector2::new(3.3, -2.7);
+            Seed { in_a, in_b: (truth + Vector2::new(0.5, -0.3)).into(), b_from_a: Matrix2::identity(), size_px: 5.0 }
+        })
+        .collect();
+    let (a, b) = (Pyramid::new(&image_a), Pyramid::new(&image_b));
+    run("refinement", &|| {
+        let refined = refine_matches(&a, &b, &seeds, &RefineOptions::default())?;
+        Ok(refined.iter().filter(|refined| refined.is_ok()).count())
+    })?;
     Ok(())
 }
