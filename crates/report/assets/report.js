@@ -3,14 +3,12 @@
   const byId = (id) => document.getElementById(id);
   const json = (id) => JSON.parse(byId(id).textContent);
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const print = matchMedia("print");
   const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   // Charts: sizes and transparent grounds here; colours of text and grid come from the style sheet.
   const font = { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif", size: 12 };
   const quiet = { displayModeBar: false, responsive: true };
   const charts = json("charts-data");
-  const narrow = () => window.innerWidth < 620;
   const layoutOf = (chart) => {
     const layout = structuredClone(chart.layout);
     const margin = { l: 58, r: 12, t: 30, b: 48 };
@@ -59,8 +57,6 @@
     const ranges = [0, 1, 2].map(range);
     const home = { eye: { x: 1.15, y: -1.25, z: 0.75 }, center: { x: 0, y: 0, z: -0.08 }, up: { x: 0, y: 0, z: 1 } };
     const choice = (name) => document.querySelector(`input[name="${name}"]:checked`)?.value;
-    const label = (points, keep, text) => keep ? text.filter((_, k) => keep(k)) : text;
-
     const cloud = (rig) => {
       const view = views[rig];
       const base = { type: "scatter3d", mode: "markers", name: "map", x: view.x, y: view.y, z: view.z, hoverinfo: "skip", showlegend: false };
@@ -86,24 +82,42 @@
       text: scene.indices.map((i) => `posture ${i}`), hovertemplate: "%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
       line: { color: tint, width: 2 }, marker: { size: 3, color: tint, symbol },
     });
+    const axes = (text, line) => Object.fromEntries([0, 1, 2].map((k) => [`${"xyz"[k]}axis`, { title: { text: `${"xyz"[k]} (m)` }, range: ranges[k], color: text, gridcolor: line, zerolinecolor: line, showbackground: false, showspikes: false }]));
+    // Paper shows a picture, as what a graphics card drew cannot be printed; always dark on white.
+    const picture = new Image();
+    picture.className = "paper";
+    picture.alt = "The 3D view";
+    let asked = 0;
+    const snapshot = async () => {
+      const mine = ++asked;
+      await new Promise((done) => setTimeout(done, 700));
+      if (mine !== asked) return;
+      const layout = { ...place.layout, width: 900, height: 480, autosize: false, paper_bgcolor: "#ffffff", font: { ...font, size: 12, color: "#000000" } };
+      layout.scene = { ...place.layout.scene, ...axes("#000000", "#bbbbbb"), camera: place._fullLayout.scene.camera };
+      const url = await Plotly.toImage({ data: place.data, layout }, { format: "jpeg", width: 900, height: 480, scale: 1.5 });
+      if (mine === asked) {
+        picture.src = url;
+        if (!picture.isConnected) place.after(picture);
+      }
+    };
     const draw = () => {
       const rig = choice("poses") || "calibrated";
       const tint = { nominal: color("--nominal"), calibrated: color("--calibrated") };
       const symbol = { nominal: "diamond", calibrated: "circle" };
       const data = scene.map ? [...cloud(rig), path(rig, scene[rig], tint[rig], symbol[rig])] : [path(rig, scene[rig], tint[rig], symbol[rig])];
       const text = color("--text"), line = color("--line");
-      const one = (k) => ({ title: { text: `${"xyz"[k]} (m)` }, range: ranges[k], color: text, gridcolor: line, zerolinecolor: line, showbackground: false, showspikes: false });
       const layout = {
         font: { ...font, size: 11, color: text }, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", autosize: true, uirevision: "same",
         hoverlabel: { bgcolor: "#2b3440", font: { ...font, color: "#ffffff" } },
         legend: { x: 0.01, y: 0.99, bgcolor: "rgba(0,0,0,0)" }, showlegend: true,
-        scene: { xaxis: one(0), yaxis: one(1), zaxis: one(2), aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
+        scene: { ...axes(text, line), aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
       };
       const said = byId("scene-said");
       if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "disagreement of the surfaces" }[choice("color")]}` : ""}.`;
+      snapshot();
       return Plotly.react(place, data, layout, { displayModeBar: false, responsive: true });
     };
-    draw();
+    draw().then(() => place.on("plotly_relayout", snapshot));
     document.querySelectorAll(".switches input").forEach((input) => input.addEventListener("change", draw));
     dark.addEventListener("change", draw);
 
@@ -130,7 +144,7 @@
   // Paper: charts as wide as the page, whatever the screen was.
   const paper = (on) => {
     for (const plot of document.querySelectorAll(".plot")) {
-      if (!plot._fullLayout) continue;
+      if (!plot._fullLayout || plot.id === "view3d") continue;
       if (on) Plotly.relayout(plot, { width: plot.closest(".pair") ? 330 : 670 });
       else Plotly.relayout(plot, { width: undefined, autosize: true });
     }

@@ -231,7 +231,7 @@ fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Chart {
         data: json!([bars("nominal", "before", NOMINAL, "/"), bars("calibrated", "after", CALIBRATED, "")]),
         layout: json!({
             "barmode": "group", "xaxis": {"automargin": true},
-            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none"},
+            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 340,
     }

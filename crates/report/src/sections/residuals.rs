@@ -13,6 +13,10 @@ pub(crate) fn section(run: &RunResult) -> Section {
     match &run.data {
         None => html += super::NO_DATA,
         Some(data) => {
+            if let Some(chart) = by_fold(run) {
+                html += &chart.html();
+                charts.push(chart);
+            }
             let mut add = |chart: Chart, html: &mut String| {
                 html.push_str(&chart.html());
                 charts.push(chart);
@@ -82,6 +86,49 @@ fn figures(run: &RunResult) -> String {
     html
 }
 
+/// Each group of postures that was held out in turn.
+fn by_fold(run: &RunResult) -> Option<Chart> {
+    let folds = run.list("/held_out/folds");
+    let name = |fold: &Value| {
+        let indices: Vec<u64> = fold["postures"].as_array()?.iter().filter_map(Value::as_u64).collect();
+        Some(format!("{}\u{2013}{}", indices.first()?, indices.last()?))
+    };
+    let names: Vec<String> = folds.iter().map(|fold| name(fold).unwrap_or_default()).collect();
+    let trace = |label: &str, field: &str, color: &str, pattern: &str| {
+        let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["figure_px"][field].as_f64()).collect();
+        y.iter().any(Option::is_some).then(|| {
+            json!({
+                "type": "bar", "name": label, "x": names, "y": y, "hovertemplate": "%{y:.3g} px<extra></extra>",
+                "marker": {"color": color, "pattern": {"shape": pattern, "fillmode": "overlay", "size": 6}},
+            })
+        })
+    };
+    let traces: Vec<Value> = [
+        trace("nominal", "nominal", NOMINAL, "/"),
+        trace("mount alone fitted", "mount_only", "#8a94a0", "."),
+        trace("calibrated", "calibrated", CALIBRATED, ""),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    (!folds.is_empty() && !traces.is_empty()).then(|| Chart {
+        id: "held-out",
+        caption: format!(
+            "Held out: {} of each group of postures under rigs that were fitted without them; calibrated is better than nominal in {} of {} groups.",
+            run.text("/held_out/figure"),
+            run.number("/held_out/better_folds").unwrap_or_default(),
+            folds.len()
+        ),
+        description: "Bars of the held-out residuals of each group of postures".to_owned(),
+        data: json!(traces),
+        layout: json!({
+            "barmode": "group", "xaxis": {"type": "category", "title": {"text": "held-out postures (indices)"}},
+            "yaxis": {"type": "log", "title": {"text": "residual (px)"}, "exponentformat": "none", "dtick": 1},
+        }),
+        height: 320,
+    })
+}
+
 /// Lines of a histogram over bins whose widths grow by a factor.
 fn histogram(histogram: &Histogram) -> Chart {
     let total = histogram.before.iter().sum::<u64>().max(1) as f64;
@@ -112,7 +159,7 @@ fn histogram(histogram: &Histogram) -> Chart {
             trace("calibrated", &histogram.after, CALIBRATED, "solid"),
         ]),
         layout: json!({
-            "xaxis": {"type": "log", "title": {"text": "distance to the epipolar line (px)"}, "exponentformat": "none"},
+            "xaxis": {"type": "log", "title": {"text": "distance to the epipolar line (px)"}, "exponentformat": "none", "dtick": 1},
             "yaxis": {"title": {"text": "share (%)"}, "rangemode": "tozero"},
         }),
         height: 320,
@@ -150,7 +197,7 @@ fn by_posture(data: &ReportData) -> Chart {
         ]),
         layout: json!({
             "xaxis": {"title": {"text": "posture (index in the recording)"}},
-            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none"},
+            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 320,
     }
@@ -166,8 +213,12 @@ fn arrows(
 ) -> Chart {
     let [width, height] = data.image_size.map(f64::from);
     let cell = width / f64::from(data.residuals.grid[0].max(1));
-    let longest = cells.iter().map(|cell| of(cell)[0].hypot(of(cell)[1])).fold(0.0, f64::max);
-    let scale = magnification(0.9 * cell / longest.max(1e-9));
+    let mut lengths: Vec<f64> = cells.iter().map(|cell| of(cell)[0].hypot(of(cell)[1])).collect();
+    lengths.sort_by(f64::total_cmp);
+    let longest = lengths.last().copied().unwrap_or_default();
+    // Nine of ten arrows stay within their cell.
+    let usual = lengths.get(lengths.len() * 9 / 10).copied().unwrap_or_default();
+    let scale = magnification(cell / usual.max(1e-9));
     let (mut x, mut y) = (Vec::<Value>::new(), Vec::<Value>::new());
     let (mut tip_x, mut tip_y, mut angles, mut told) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for found in cells {
@@ -194,7 +245,7 @@ fn arrows(
         data: json!([
             {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": {"color": color, "width": 1.5}, "hoverinfo": "skip", "showlegend": false},
             {"type": "scatter", "mode": "markers", "x": tip_x, "y": tip_y, "text": told, "showlegend": false,
-             "marker": {"color": color, "symbol": "arrow", "size": 7, "angle": angles}, "hovertemplate": "%{text}<extra></extra>"},
+             "marker": {"color": color, "symbol": "arrow", "size": 6, "angle": angles}, "hovertemplate": "%{text}<extra></extra>"},
         ]),
         layout: json!({
             "xaxis": {"range": [-0.5, width - 0.5], "title": {"text": "column (px)"}, "constrain": "domain", "zeroline": false},
@@ -235,7 +286,7 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
     let rows = joints.div_ceil(columns);
     let mut traces = Vec::new();
     let mut layout = json!({
-        "grid": {"rows": rows, "columns": columns, "pattern": "independent", "ygap": 0.35, "xgap": 0.14},
+        "grid": {"rows": rows, "columns": columns, "pattern": "independent", "ygap": 0.3, "xgap": 0.14},
     });
     for (joint, named) in data.joints.iter().enumerate() {
         let suffix = if joint == 0 { String::new() } else { (joint + 1).to_string() };
@@ -255,7 +306,7 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
         let title = format!("joint {}: {} ({})", joint + 1, escaped(&named.name), escaped(&named.unit));
         layout[format!("xaxis{suffix}")] = json!({"title": {"text": title, "standoff": 4}});
         layout[format!("yaxis{suffix}")] = json!({
-            "type": "log", "exponentformat": "none",
+            "type": "log", "exponentformat": "none", "dtick": 1,
             "title": {"text": if joint % columns == 0 { "distance (px)" } else { "" }},
         });
     }

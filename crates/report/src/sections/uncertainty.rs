@@ -1,10 +1,11 @@
 //! How sure the parameters are together, and what follows for the position over the workspace.
 
 use crate::RunResult;
-use crate::figures::Chart;
+use crate::figures::{Chart, Digits, Numbers, number};
 use crate::html::{escaped, table};
 use crate::page::Section;
-use serde_json::{Value, json};
+use serde_json::json;
+use skclam::pipeline::{PoseSigma, PostureSource};
 
 /// From this correlation on two parameters are named as hardly told apart.
 const STRONG: f64 = 0.9;
@@ -14,6 +15,12 @@ const NAMED: usize = 12;
 pub(crate) fn section(run: &RunResult) -> Section {
     let mut html = String::new();
     let mut charts = Vec::new();
+    html += "<h3>Expected position error over the workspace</h3>\n";
+    html += &pose_figures(run);
+    if let Some(chart) = run.data.as_ref().and_then(|data| workspace(&data.pose_sigmas)) {
+        html += &chart.html();
+        charts.push(chart);
+    }
     let names: Vec<String> = run
         .list("/calibration/parameters")
         .iter()
@@ -31,6 +38,90 @@ pub(crate) fn section(run: &RunResult) -> Section {
         None => html += "<p class=\"none\">Not measured: this estimator tells no covariance.</p>\n",
     }
     Section { id: "uncertainty", title: "Uncertainty", html, charts }
+}
+
+/// The figures of the summary: flange and camera, at the recorded postures and over the workspace.
+fn pose_figures(run: &RunResult) -> String {
+    let numbers = Numbers::of(run);
+    let mut rows = Vec::new();
+    for (of, poses) in [("your postures", "recorded_poses"), ("the workspace", "workspace_poses")] {
+        for (name, field, unit) in [
+            ("Camera position", "camera_sigma_mm", "mm"),
+            ("Camera orientation", "camera_sigma_deg", "deg"),
+            ("Flange position", "flange_sigma_mm", "mm"),
+            ("Flange orientation", "flange_sigma_deg", "deg"),
+        ] {
+            let pointer = |statistic: &str| format!("/{poses}/{field}/{statistic}");
+            if run.number(&pointer("mean")).is_some() {
+                let figure = |statistic: &str| numbers.show(&pointer(statistic), Digits::Significant(2));
+                rows.push(vec![format!("{name}, {of}"), figure("mean"), figure("sd"), figure("max"), unit.to_owned()]);
+            }
+        }
+        let change = |statistic: &str| format!("/{poses}/camera_change_mm/{statistic}");
+        if run.number(&change("mean")).is_some() {
+            let figure = |statistic: &str| numbers.show(&change(statistic), Digits::Significant(3));
+            rows.push(vec![
+                format!("Correction of the camera, {of}"),
+                figure("mean"),
+                figure("sd"),
+                figure("max"),
+                "mm".to_owned(),
+            ]);
+        }
+    }
+    if rows.is_empty() {
+        return "<p class=\"none\">Not measured: this estimator tells no covariance.</p>\n".to_owned();
+    }
+    table(
+        "numbers",
+        "Expected error (one sigma) by the covariance of the parameters, and how far the calibration moves the camera",
+        &["What", "Mean", "Spread", "Largest", "Unit"],
+        &rows,
+    )
+}
+
+/// Each posture where it is in space: distance from the base's axis against height, coloured by the expected error.
+fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
+    let known: Vec<(&PoseSigma, f64)> = poses.iter().filter_map(|pose| Some((pose, pose.camera_sigma_mm?))).collect();
+    let greatest = known.iter().map(|(_, sigma)| *sigma).fold(0.0, f64::max);
+    if greatest <= 0.0 {
+        return None;
+    }
+    let round = |value: f64| (value * 1e4).round() / 1e4;
+    let trace = |source: PostureSource, name: &str, symbol: &str, bar: bool| {
+        let of: Vec<&(&PoseSigma, f64)> = known.iter().filter(|(pose, _)| pose.source == source).collect();
+        let metres = |of: &dyn Fn(&PoseSigma) -> f64, list: &[&(&PoseSigma, f64)]| -> Vec<f64> {
+            list.iter().map(|(pose, _)| round(of(pose) * 1e-3)).collect()
+        };
+        json!({
+            "type": "scatter", "mode": "markers", "name": name,
+            "x": metres(&|pose| pose.camera_mm[0].hypot(pose.camera_mm[1]), &of),
+            "y": metres(&|pose| pose.camera_mm[2], &of),
+            "customdata": of.iter().map(|(_, sigma)| *sigma).collect::<Vec<_>>(),
+            "marker": {
+                "symbol": symbol, "size": if bar { 8 } else { 10 }, "line": {"width": 1, "color": if bar { "#8a94a0" } else { "#000000" }},
+                "color": of.iter().map(|(_, sigma)| *sigma).collect::<Vec<_>>(), "colorscale": "Cividis", "cmin": 0, "cmax": greatest,
+                "showscale": bar, "colorbar": {"title": {"text": "expected error (mm)", "side": "right"}, "thickness": 12, "outlinewidth": 0},
+            },
+            "hovertemplate": "%{x:.2f} m from the axis, %{y:.2f} m high: %{customdata:.3g} mm<extra></extra>",
+        })
+    };
+    Some(Chart {
+        id: "workspace",
+        caption: "Expected position error of the camera (one sigma, mm): dots are postures spread over the joints' limits, squares are those of the recording. \
+                  Light places were seen too little; record postures there if the arm works there."
+            .to_owned(),
+        description: format!("Expected position error at {} postures, at most {} mm", known.len(), number(greatest, Digits::Significant(2))),
+        data: json!([
+            trace(PostureSource::Workspace, "workspace", "circle", true),
+            trace(PostureSource::Recorded, "recorded", "square", false),
+        ]),
+        layout: json!({
+            "xaxis": {"title": {"text": "distance from the first axis (m)"}, "rangemode": "tozero", "zeroline": false},
+            "yaxis": {"title": {"text": "height above the base (m)"}, "scaleanchor": "x", "zeroline": false},
+        }),
+        height: 440,
+    })
 }
 
 fn heat_map(names: &[String], matrix: &[Vec<f64>]) -> Chart {
@@ -77,10 +168,4 @@ fn strongest(names: &[String], matrix: &[Vec<f64>]) -> String {
         &["Parameters", "Correlation"],
         &rows,
     )
-}
-
-/// Kept for the pointer of the predicted error, see `workspace`.
-#[allow(dead_code)]
-fn measured(run: &RunResult) -> Option<&Value> {
-    run.summary.pointer("/workspace")
 }
