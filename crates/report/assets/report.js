@@ -110,7 +110,7 @@
         font: { ...font, size: 11, color: text }, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", autosize: true, uirevision: "same",
         hoverlabel: { bgcolor: "#2b3440", font: { ...font, color: "#ffffff" } },
         legend: { x: 0.01, y: 0.99, bgcolor: "rgba(0,0,0,0)" }, showlegend: true,
-        scene: { ...axes(text, line), aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
+        scene: { ...axes(text, line), domain: { x: [0, (choice("color") || "photo") === "photo" ? 1 : 0.87] }, aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
       };
       const said = byId("scene-said");
       if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "disagreement of the surfaces" }[choice("color")]}` : ""}.`;

@@ -110,8 +110,8 @@ fn graph(data: &ReportData) -> Chart {
         ),
         data: json!(traces),
         layout: json!({
-            "xaxis": {"title": {"text": format!("{} (m)", names[across])}, "zeroline": false},
-            "yaxis": {"title": {"text": format!("{} (m)", names[up])}, "scaleanchor": "x", "zeroline": false},
+            "xaxis": {"title": {"text": format!("{} (m)", names[across])}, "zeroline": false, "constrain": "domain"},
+            "yaxis": {"title": {"text": format!("{} (m)", names[up])}, "scaleanchor": "x", "zeroline": false, "constrain": "domain"},
         }),
         height: 460,
     }

@@ -87,6 +87,7 @@ fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
     if greatest <= 0.0 {
         return None;
     }
+    let least = known.iter().map(|(_, sigma)| *sigma).fold(greatest, f64::min);
     let round = |value: f64| (value * 1e4).round() / 1e4;
     let trace = |source: PostureSource, name: &str, symbol: &str, bar: bool| {
         let of: Vec<&(&PoseSigma, f64)> = known.iter().filter(|(pose, _)| pose.source == source).collect();
@@ -100,7 +101,7 @@ fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
             "customdata": of.iter().map(|(_, sigma)| *sigma).collect::<Vec<_>>(),
             "marker": {
                 "symbol": symbol, "size": if bar { 8 } else { 10 }, "line": {"width": 1, "color": if bar { "#8a94a0" } else { "#000000" }},
-                "color": of.iter().map(|(_, sigma)| *sigma).collect::<Vec<_>>(), "colorscale": "Cividis", "cmin": 0, "cmax": greatest,
+                "color": of.iter().map(|(_, sigma)| *sigma).collect::<Vec<_>>(), "colorscale": "Cividis", "cmin": least, "cmax": greatest,
                 "showscale": bar, "colorbar": {"title": {"text": "expected error (mm)", "side": "right"}, "thickness": 12, "outlinewidth": 0},
             },
             "hovertemplate": "%{x:.2f} m from the axis, %{y:.2f} m high: %{customdata:.3g} mm<extra></extra>",
@@ -117,8 +118,8 @@ fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
             trace(PostureSource::Recorded, "recorded", "square", false),
         ]),
         layout: json!({
-            "xaxis": {"title": {"text": "distance from the first axis (m)"}, "rangemode": "tozero", "zeroline": false},
-            "yaxis": {"title": {"text": "height above the base (m)"}, "scaleanchor": "x", "zeroline": false},
+            "xaxis": {"title": {"text": "distance from the first axis (m)"}, "zeroline": false, "constrain": "domain"},
+            "yaxis": {"title": {"text": "height above the base (m)"}, "scaleanchor": "x", "zeroline": false, "constrain": "domain"},
         }),
         height: 440,
     })
