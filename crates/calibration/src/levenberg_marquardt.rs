@@ -14,6 +14,8 @@ pub(crate) struct DescentLimits {
     pub cost_tolerance: f64,
     /// Norm of a step in units of the parameters' scales.
     pub step_tolerance: f64,
+    /// Length of a step in sigmas; 0 for none.
+    pub sigma_tolerance: f64,
 }
 
 /// A step that was tried.
@@ -22,6 +24,8 @@ pub(crate) struct Proposal<S> {
     pub cost: f64,
     /// Norm of the step in units of the parameters' scales.
     pub step: f64,
+    /// Length of the step in sigmas, all unknowns together.
+    pub sigmas: f64,
     /// Decrease of the cost that the linear model promises.
     pub predicted: f64,
 }
@@ -71,6 +75,9 @@ pub(crate) fn descend<S>(
             // A small gain under heavy damping is a short step, not convergence.
             if relative_change <= limits.cost_tolerance && damping <= 1e-2 {
                 break StopReason::CostConverged { relative_change, threshold: limits.cost_tolerance };
+            }
+            if proposal.sigmas <= limits.sigma_tolerance && damping <= 1e-2 {
+                break StopReason::SigmasConverged { sigmas: proposal.sigmas, threshold: limits.sigma_tolerance };
             }
             if ratio > 0.75 {
                 damping = (damping * 0.1).max(SMALLEST_DAMPING);
@@ -159,13 +166,20 @@ mod tests {
         let residuals = |x: &DVector<f64>| DVector::from_vec(vec![1.0 - x[0], 10.0 * (x[1] - x[0] * x[0])]);
         let cost = |x: &DVector<f64>| 0.5 * residuals(x).norm_squared();
         let start = DVector::from_vec(vec![-1.2, 1.0]);
-        let limits = DescentLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12 };
+        let limits =
+            DescentLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12, sigma_tolerance: 0.0 };
         let result = descend(start.clone(), cost(&start), limits, |x, damping| {
             let jacobian = DMatrix::from_row_slice(2, 2, &[-1.0, 0.0, -20.0 * x[0], 10.0]);
             let (h, g) = (jacobian.transpose() * &jacobian, -jacobian.transpose() * residuals(x));
             let step = damped_solve(&h, &g, &[], damping)?;
             let state = x + &step;
-            Ok(Proposal { cost: cost(&state), predicted: predicted_gain(&h, &g, &step), step: step.norm(), state })
+            Ok(Proposal {
+                cost: cost(&state),
+                predicted: predicted_gain(&h, &g, &step),
+                step: step.norm(),
+                sigmas: 1.0,
+                state,
+            })
         })
         .unwrap();
         assert!((result.state - DVector::from_vec(vec![1.0, 1.0])).norm() < 1e-6);

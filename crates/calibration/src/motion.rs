@@ -174,6 +174,13 @@ fn in_camera(base_from_camera: &Isometry3, twist: &Vector6<f64>) -> Vector6<f64>
     stack(&(camera_from_base * at_camera), &(camera_from_base * omega))
 }
 
+/// A twist of the camera's own frame in the base frame: `Ad(T)`.
+pub(crate) fn in_base(base_from_camera: &Isometry3, twist: &Vector6<f64>) -> Vector6<f64> {
+    let (v, omega) = (Vector3::new(twist[0], twist[1], twist[2]), Vector3::new(twist[3], twist[4], twist[5]));
+    let turned = base_from_camera.rotation * omega;
+    stack(&(base_from_camera.rotation * v + base_from_camera.translation.vector.cross(&turned)), &turned)
+}
+
 pub(crate) fn stack(v: &Vector3<f64>, omega: &Vector3<f64>) -> Vector6<f64> {
     Vector6::new(v.x, v.y, v.z, omega.x, omega.y, omega.z)
 }
@@ -209,6 +216,10 @@ mod tests {
         for posture in 0..postures.len() {
             let deviation = [1e-3, -2e-3, 1e-3, 0.0, 2e-3, 1e-3];
             let linear = motion.linearize(&model, &parameters, posture, &deviation).unwrap();
+            for twist in &linear.by_parameter {
+                let there_and_back = in_camera(&linear.base_from_camera, &in_base(&linear.base_from_camera, twist));
+                assert!((there_and_back - twist).norm() < 1e-14);
+            }
             for (k, parameter) in parameters.iter().enumerate() {
                 let at = |change: f64| {
                     let moved = model.stepped(&[*parameter], &[change]).unwrap();

@@ -118,7 +118,12 @@ impl Problem<'_> {
         effort: &mut Effort,
     ) -> Result<Descent<Model>, CalibrationError> {
         let cost = self.cost(system, model, round)?;
-        let limits = DescentLimits { max_iterations, cost_tolerance: self.tolerance, step_tolerance: 1e-10 };
+        let limits = DescentLimits {
+            max_iterations,
+            cost_tolerance: self.tolerance,
+            step_tolerance: 1e-10,
+            sigma_tolerance: 0.0,
+        };
         // The normal equations of a state serve all dampings that are tried from it.
         let mut linearized: Option<(Model, DMatrix<f64>, DVector<f64>)> = None;
         let descent = descend(model.clone(), cost, limits, |state, damping| {
@@ -136,6 +141,7 @@ impl Problem<'_> {
                 cost: self.cost(system, &moved, round)?,
                 state: moved,
                 step: scaled_norm(self.parameters, &step),
+                sigmas: f64::INFINITY,
                 predicted: predicted_gain(information, gradient, &step),
             })
         })?;

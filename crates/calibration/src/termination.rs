@@ -22,6 +22,13 @@ pub enum StopReason {
         /// What it had to fall below.
         threshold: f64,
     },
+    /// The last step was short beside what the data can tell.
+    SigmasConverged {
+        /// Length of the step in the metric of the information matrix: sigmas, all unknowns together.
+        sigmas: f64,
+        /// What it had to fall below.
+        threshold: f64,
+    },
     /// The gradient fell below its threshold (scaled, dimensionless).
     GradientConverged {
         /// Largest component.
@@ -90,6 +97,9 @@ impl fmt::Display for StopReason {
             }
             StopReason::StepConverged { step, threshold } => {
                 write!(f, "converged: the last step was {step:.1e}, below {threshold:.1e}")
+            }
+            StopReason::SigmasConverged { sigmas, threshold } => {
+                write!(f, "converged: the last step was {sigmas:.1e} sigma long, below {threshold:.1e}")
             }
             StopReason::GradientConverged { gradient, threshold } => {
                 write!(f, "converged: the gradient was {gradient:.1e}, below {threshold:.1e}")

@@ -74,6 +74,7 @@ impl PinholeCamera {
     }
 
     /// Whether the pixel lies within the image (to the outer borders of its border pixels).
+    #[inline]
     pub fn contains(&self, pixel: &Pixel) -> bool {
         pixel.x >= -0.5
             && pixel.y >= -0.5
@@ -82,12 +83,28 @@ impl PinholeCamera {
     }
 
     /// Where a point in the camera is seen; `None` at or behind the camera's plane. The pixel may lie outside the image.
+    #[inline]
     pub fn project(&self, point_in_camera: &Point3) -> Option<Pixel> {
         if point_in_camera.z <= 1e-9 {
             return None;
         }
         let normalized = Vector2::new(point_in_camera.x / point_in_camera.z, point_in_camera.y / point_in_camera.z);
         Some(self.pixel_from_distorted(&self.distort(&normalized)))
+    }
+
+    /// As [`project`](Self::project), with d(pixel) / d(point in camera), px per metre.
+    #[inline]
+    pub fn project_with_point_jacobian(&self, point_in_camera: &Point3) -> Option<(Pixel, Matrix2x3<f64>)> {
+        if point_in_camera.z <= 1e-9 {
+            return None;
+        }
+        let inverse_z = 1.0 / point_in_camera.z;
+        let (x, y) = (point_in_camera.x * inverse_z, point_in_camera.y * inverse_z);
+        let bend = self.distortion_jacobian(x, y);
+        let (ux, uy) = (self.fx * inverse_z * bend[(0, 0)], self.fx * inverse_z * bend[(0, 1)]);
+        let (vx, vy) = (self.fy * inverse_z * bend[(1, 0)], self.fy * inverse_z * bend[(1, 1)]);
+        let by_point = Matrix2x3::new(ux, uy, -(ux * x + uy * y), vx, vy, -(vx * x + vy * y));
+        Some((self.pixel_from_distorted(&self.distort(&Vector2::new(x, y))), by_point))
     }
 
     /// As [`project`](Self::project), with the derivatives by the point and by the intrinsics.
@@ -182,10 +199,12 @@ impl PinholeCamera {
         }
     }
 
+    #[inline]
     fn pixel_from_distorted(&self, distorted: &Vector2<f64>) -> Pixel {
         Pixel::new(self.fx * distorted.x + self.cx, self.fy * distorted.y + self.cy)
     }
 
+    #[inline]
     fn distort(&self, normalized: &Vector2<f64>) -> Vector2<f64> {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let (x, y) = (normalized.x, normalized.y);
@@ -197,6 +216,7 @@ impl PinholeCamera {
         )
     }
 
+    #[inline]
     fn distortion_jacobian(&self, x: f64, y: f64) -> Matrix2<f64> {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
@@ -244,6 +264,9 @@ mod tests {
             let camera = distorted_camera();
             let point = Point3::new(x * z, y * z, z);
             let analytic = camera.project_with_jacobian(&point).unwrap();
+            let (pixel, by_point) = camera.project_with_point_jacobian(&point).unwrap();
+            prop_assert!((pixel - analytic.pixel).norm() < 1e-9);
+            prop_assert!((by_point - analytic.by_point).norm() < 1e-9 * analytic.by_point.norm());
             let step = 1e-6;
             for axis in 0..3 {
                 let mut offset = Vector3::zeros();

@@ -1,7 +1,8 @@
 //! One descent of everything that moves, and the covariance at its end.
 
 use crate::bundle::observations::Observations;
-use crate::bundle::reduced::{ResidualSize, reduce, residual_sizes, substitute_back, total_cost, track_chunks};
+use crate::bundle::reduced::{Chunk, corner_cost, follow, reduce, track_chunks, track_cost};
+use crate::bundle::residuals::{ResidualSize, residual_sizes};
 use crate::bundle::start::{place_board, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
 use crate::bundle::unknowns::Unknowns;
@@ -17,6 +18,8 @@ use skclam_rig::Rig;
 
 /// A gain below this, in squared sigmas, means nothing.
 const MEANINGLESS_GAIN: f64 = 1e-3;
+/// A step of parameters, board and deviations together that is shorter than this means nothing, however far single points still have to go.
+const MEANINGLESS_SIGMAS: f64 = 0.02;
 
 /// All that a descent needs besides the state.
 pub(crate) struct Adjustment<'a> {
@@ -36,15 +39,21 @@ impl Adjustment<'_> {
         Unknowns { parameters: self.parameters, board: state.base_from_board.is_some(), joints, postures }
     }
 
-    fn chunks(&self) -> Vec<(usize, usize)> {
+    fn chunks(&self) -> Vec<Chunk> {
         track_chunks(self.observations)
     }
 
-    fn cost(&self, state: &State, chunks: &[(usize, usize)]) -> f64 {
+    fn cost(&self, state: &State, chunks: &[Chunk]) -> f64 {
         let view = state.view(&self.noise, self.loss);
-        let sights = total_cost(self.observations, chunks, &view, &state.points, state.base_from_board.as_ref());
+        track_cost(self.observations, chunks, &view, &state.points) + self.cost_beside_tracks(state)
+    }
+
+    /// Board corners, joint deviations, priors.
+    fn cost_beside_tracks(&self, state: &State) -> f64 {
+        let view = state.view(&self.noise, self.loss);
+        let corners = corner_cost(self.observations, &view, state.base_from_board.as_ref());
         let deviations: f64 = state.deviations.iter().map(|d| (d / self.noise.deviation).powi(2)).sum();
-        sights + 0.5 * deviations + self.priors.cost(self.nominal, &state.model, self.parameters)
+        corners + 0.5 * deviations + self.priors.cost(self.nominal, &state.model, self.parameters)
     }
 
     fn add_deviation_prior(
@@ -68,27 +77,37 @@ impl Adjustment<'_> {
         let cost = self.cost(&state, &chunks);
         let unknowns = self.unknowns(&state);
         let cost_tolerance = (MEANINGLESS_GAIN / cost.max(f64::MIN_POSITIVE)).clamp(1e-13, 1e-6);
-        let limits = DescentLimits { max_iterations, cost_tolerance, step_tolerance: 1e-11 };
+        let limits = DescentLimits {
+            max_iterations,
+            cost_tolerance,
+            step_tolerance: 1e-11,
+            sigma_tolerance: MEANINGLESS_SIGMAS,
+        };
         descend(state, cost, limits, |state, damping| {
             let view = state.view(&self.noise, self.loss);
             let board = state.base_from_board.as_ref();
             let shared = unknowns.shared_free();
             let columns = unknowns.columns(self.motion, state)?;
-            let system = reduce(self.observations, &chunks, &view, &state.points, board, shared, damping);
+            let (system, eliminated) = reduce(self.observations, &chunks, &view, &state.points, board, shared, damping);
             let (mut information, mut descent) = unknowns.assemble(&system, &columns);
             self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut descent);
             self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
             let step = damped_solve(&information, &descent, self.parameters, damping)?;
             let camera_step = unknowns.camera_step(&columns, &step);
             let mut moved = unknowns.stepped(self.motion, state, &step)?;
-            moved.points = substitute_back(self.observations, &chunks, &view, &state.points, &camera_step, damping);
+            let moved_view = moved.view(&self.noise, self.loss);
+            let (points, tracks) =
+                follow(self.observations, &chunks, &eliminated, &state.points, &camera_step, &moved_view);
+            moved.points = points;
             let norm = scaled_norm(self.parameters, &step);
+            let own_gain = predicted_gain(&information, &descent, &step);
             Ok(Proposal {
-                cost: self.cost(&moved, &chunks),
+                cost: tracks + self.cost_beside_tracks(&moved),
                 state: moved,
                 // Without parameters only board and points move: the cost decides.
                 step: if self.parameters.is_empty() { f64::INFINITY } else { norm },
-                predicted: predicted_gain(&information, &descent, &step) + system.point_gain,
+                sigmas: if self.parameters.is_empty() { f64::INFINITY } else { (2.0 * own_gain.max(0.0)).sqrt() },
+                predicted: own_gain + system.point_gain,
             })
         })
     }
@@ -106,7 +125,7 @@ impl Adjustment<'_> {
         let board = state.base_from_board.as_ref();
         let columns = unknowns.columns(self.motion, state)?;
         let shared = unknowns.shared_free();
-        let system = reduce(self.observations, &self.chunks(), &view, &state.points, board, shared, 0.0);
+        let (system, _) = reduce(self.observations, &self.chunks(), &view, &state.points, board, shared, 0.0);
         let (mut information, mut descent) = unknowns.assemble(&system, &columns);
         self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
         Ok(information)
@@ -124,14 +143,14 @@ impl Adjustment<'_> {
         let view = state.view(&self.noise, self.loss);
         let columns = unknowns.columns(self.motion, state)?;
         let board = state.base_from_board.as_ref();
-        let system =
+        let (system, _) =
             reduce(self.observations, &self.chunks(), &view, &state.points, board, unknowns.shared_free(), 0.0);
         Ok(unknowns.assemble(&system, &columns).1)
     }
 
     /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are told.
     pub(crate) fn triangulate(&self, state: &State) -> Vec<Option<Point3>> {
-        triangulate_all(self.observations, &state.view(&self.noise, self.loss))
+        triangulate_all(self.observations, &state.view(&self.noise, self.loss), None)
     }
 }
 
@@ -145,8 +164,8 @@ pub(crate) fn posed_state(
     loss: Loss,
 ) -> Result<State, CalibrationError> {
     let mut state =
-        State { model: model.clone(), deviations, points: Vec::new(), base_from_board: None, poses: Vec::new() };
-    state.refresh_poses(motion)?;
+        State { model: model.clone(), deviations, points: Vec::new(), base_from_board: None, frames: Vec::new() };
+    state.refresh_frames(motion)?;
     if !observations.corners.is_empty() {
         state.base_from_board = place_board(observations, &state.view(noise, loss));
     }

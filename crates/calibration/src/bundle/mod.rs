@@ -7,7 +7,9 @@
 mod adjust;
 mod noise;
 mod observations;
+mod pose_system;
 mod reduced;
+mod residuals;
 mod solve;
 mod start;
 mod state;
@@ -15,6 +17,7 @@ mod state;
 mod tests;
 mod triangulate;
 mod unknowns;
+mod view;
 
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;

@@ -3,7 +3,7 @@
 //! Simplified estimation of variance components (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", 1979): the squared residuals
 //! of a kind, divided by the degrees of freedom that the fit leaves them. Residuals beyond a gate are left out and the truncation is corrected.
 
-use crate::bundle::reduced::ResidualSize;
+use crate::bundle::residuals::ResidualSize;
 use crate::bundle::state::NoiseScales;
 use crate::robust::{median, quantile};
 use crate::{Loss, PostureFit, ReprojectionStatistics};

@@ -12,19 +12,16 @@ pub(crate) struct Sighting {
     /// z-depth in the camera, metres; 0 where nothing was measured.
     pub depth_m: f64,
     pub pixel: Pixel,
-    /// Upper triangle of the matrix that whitens a pixel difference (relative units).
-    whitener: [f64; 3],
+    /// Inverse of the pixel's covariance (relative units): xx, xy, yy.
+    pub information: [f64; 3],
 }
 
 impl Sighting {
-    pub(crate) fn whiten(&self, v: Vector2<f64>) -> Vector2<f64> {
-        let [a, b, c] = self.whitener;
-        Vector2::new(a * v.x + b * v.y, c * v.y)
-    }
-
-    pub(crate) fn whitener(&self) -> Matrix2<f64> {
-        let [a, b, c] = self.whitener;
-        Matrix2::new(a, b, 0.0, c)
+    /// Norm of a pixel difference in its own sigmas (relative units).
+    #[inline]
+    pub(crate) fn size(&self, v: &Vector2<f64>) -> f64 {
+        let [xx, xy, yy] = self.information;
+        (v.x * (xx * v.x + 2.0 * xy * v.y) + yy * v.y * v.y).max(0.0).sqrt()
     }
 }
 
@@ -46,14 +43,9 @@ pub(crate) struct Observations {
     pub postures: usize,
 }
 
-fn whitener(covariance: &Matrix2<f64>) -> [f64; 3] {
-    // W^T W = covariance^-1 with W upper triangular.
+fn information(covariance: &Matrix2<f64>) -> [f64; 3] {
     let determinant = covariance.determinant();
-    let (ixx, ixy, iyy) =
-        (covariance[(1, 1)] / determinant, -covariance[(0, 1)] / determinant, covariance[(0, 0)] / determinant);
-    let a = ixx.sqrt();
-    let b = ixy / a;
-    [a, b, (iyy - b * b).max(0.0).sqrt()]
+    [covariance[(1, 1)] / determinant, -covariance[(0, 1)] / determinant, covariance[(0, 0)] / determinant]
 }
 
 impl Observations {
@@ -78,7 +70,7 @@ impl Observations {
                     posture: observation.posture as u32,
                     depth_m: observation.depth_m.unwrap_or(0.0),
                     pixel: observation.pixel,
-                    whitener: whitener(&observation.covariance),
+                    information: information(&observation.covariance),
                 });
             }
             if flat.sightings.len() - from < 2 {
@@ -101,7 +93,7 @@ impl Observations {
                     return Err(error(format!("corner ({column}, {row}) is not on a board of {columns} x {rows}")));
                 }
                 let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
-                let sighting = Sighting { posture: posture as u32, depth_m: 0.0, pixel, whitener: [1.0, 0.0, 1.0] };
+                let sighting = Sighting { posture: posture as u32, depth_m: 0.0, pixel, information: [1.0, 0.0, 1.0] };
                 flat.corners.push(CornerSighting { sighting, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
                     Ok(at) => corner_tracks[at].1.push(sighting),
@@ -156,10 +148,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whitening_makes_unit_variance() {
+    fn sizes_are_in_sigmas() {
         let covariance = Matrix2::new(4.0, 0.6, 0.6, 0.5);
-        let [a, b, c] = whitener(&covariance);
-        let w = Matrix2::new(a, b, 0.0, c);
-        assert!((w * covariance * w.transpose() - Matrix2::identity()).amax() < 1e-12);
+        let v = Vector2::new(1.3, -0.7);
+        let squared: f64 = v.dot(&(covariance.try_inverse().unwrap() * v));
+        let expected = squared.sqrt();
+        let sighting =
+            Sighting { posture: 0, depth_m: 0.0, pixel: Pixel::origin(), information: information(&covariance) };
+        assert!((sighting.size(&v) - expected).abs() < 1e-12);
     }
 }

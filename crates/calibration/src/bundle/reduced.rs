@@ -1,303 +1,149 @@
-//! Normal equations by camera poses, board pose and shared numbers, after the scene points are eliminated.
+//! Elimination of the scene points: normal equations by cameras, board and shared numbers, and the points that follow a step of those.
 //!
 //! For a track with point block `V` (3 x 3), pose blocks `U_i` and couplings `W_i` the Schur complement adds `U_i - W_i V^-1 W_i^T` on the diagonal and
-//! `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1). Everything a sight adds comes
-//! from the 3 x 3 information of its point *in the camera*: a camera twist moves the point by `(-v, x cross omega)`, the point itself by `R^T`.
+//! `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1). With `V = L L^T` and the sights'
+//! informations `B_i`, `W_i = -T^T B_i` and the products are `Z_i^T Z_j`, `Z_i = L^-1 B_i T`.
 
 use crate::bundle::observations::{CornerSighting, Observations, Sighting};
-use crate::bundle::triangulate::View;
-use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
+use crate::bundle::pose_system::{PoseSystem, SharedByPoint, SharedVector, TwistRows, by_twist, moved_by};
+use crate::bundle::view::{LinearSight, SharedSight, View};
+use nalgebra::{Matrix3, Vector3, Vector6};
 use rayon::prelude::*;
-use skclam_geometry::{INTRINSICS, Isometry3, Point3};
-
-/// Intrinsics, depth offset, depth scale.
-pub(crate) const SHARED: usize = INTRINSICS + 2;
-pub(crate) const DEPTH_OFFSET: usize = INTRINSICS;
-pub(crate) const DEPTH_SCALE: usize = INTRINSICS + 1;
-
-type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
-type SharedVector = SVector<f64, SHARED>;
-type SharedByTwist = SMatrix<f64, SHARED, 6>;
-type SharedByPoint = SMatrix<f64, SHARED, 3>;
-type TwistByPoint = SMatrix<f64, 6, 3>;
+use skclam_geometry::{Isometry3, Point3};
 
 /// Memory that the partial sums of one pass may take together, bytes.
 const PARTIAL_SUMS: usize = 256 << 20;
 
-/// Normal equations whose unknowns are the twists of `postures` cameras, the board's twist and the shared numbers.
-#[derive(Debug, Clone)]
-pub(crate) struct PoseSystem {
-    pub postures: usize,
-    /// Blocks (i, j) with i <= j, row by row.
-    blocks: Vec<Matrix6<f64>>,
-    pub descent: Vec<Vector6<f64>>,
-    pub shared_by_pose: Vec<SharedByTwist>,
-    pub shared: SharedMatrix,
-    pub shared_descent: SharedVector,
-    pub board_by_pose: Vec<Matrix6<f64>>,
-    pub board: Matrix6<f64>,
-    pub board_descent: Vector6<f64>,
-    pub shared_by_board: SharedByTwist,
-    /// Decrease of the cost that the eliminated points promise by themselves.
-    pub point_gain: f64,
+/// A range of tracks.
+pub(crate) type Chunk = (usize, usize);
+
+/// A symmetric 3 x 3: xx, xy, xz, yy, yz, zz.
+type Symmetric = [f64; 6];
+
+fn packed(m: &Matrix3<f64>) -> Symmetric {
+    [m[(0, 0)], m[(0, 1)], m[(0, 2)], m[(1, 1)], m[(1, 2)], m[(2, 2)]]
 }
 
-impl PoseSystem {
-    fn new(postures: usize) -> Self {
-        PoseSystem {
-            postures,
-            blocks: vec![Matrix6::zeros(); postures * (postures + 1) / 2],
-            descent: vec![Vector6::zeros(); postures],
-            shared_by_pose: vec![SharedByTwist::zeros(); postures],
-            shared: SharedMatrix::zeros(),
-            shared_descent: SharedVector::zeros(),
-            board_by_pose: vec![Matrix6::zeros(); postures],
-            board: Matrix6::zeros(),
-            board_descent: Vector6::zeros(),
-            shared_by_board: SharedByTwist::zeros(),
-            point_gain: 0.0,
-        }
-    }
-
-    fn index(&self, i: usize, j: usize) -> usize {
-        i * (2 * self.postures - i + 1) / 2 + (j - i)
-    }
-
-    /// Block (i, j) of the symmetric matrix.
-    pub(crate) fn block(&self, i: usize, j: usize) -> Matrix6<f64> {
-        if i <= j { self.blocks[self.index(i, j)] } else { self.blocks[self.index(j, i)].transpose() }
-    }
-
-    fn add(&mut self, other: &PoseSystem) {
-        fn sum<T: Copy + std::ops::AddAssign>(into: &mut [T], from: &[T]) {
-            into.iter_mut().zip(from).for_each(|(a, b)| *a += *b);
-        }
-        sum(&mut self.blocks, &other.blocks);
-        sum(&mut self.descent, &other.descent);
-        sum(&mut self.shared_by_pose, &other.shared_by_pose);
-        sum(&mut self.board_by_pose, &other.board_by_pose);
-        self.shared += other.shared;
-        self.shared_descent += other.shared_descent;
-        self.board += other.board;
-        self.board_descent += other.board_descent;
-        self.shared_by_board += other.shared_by_board;
-        self.point_gain += other.point_gain;
-    }
+#[inline]
+fn times([xx, xy, xz, yy, yz, zz]: &Symmetric, v: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z)
 }
 
-/// One sight, linearised: the point's information in the camera, and what the shared numbers share of it.
-struct LinearSight {
-    posture: usize,
-    /// `J_camera_point^T J`, weights included.
-    information: Matrix3<f64>,
-    descent: Vector3<f64>,
-    in_camera: Point3,
-    rotation: Matrix3<f64>,
-    /// Coupling of the shared numbers with the point in the camera.
-    shared_by_point: SharedByPoint,
+/// What is kept of a chunk's tracks until their points follow.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Eliminated {
+    /// Information of every sight; zero behind the camera.
+    sights: Vec<Symmetric>,
+    /// `V^-1` of every track; zero where it is singular.
+    inverses: Vec<Symmetric>,
+    descents: Vec<Vector3<f64>>,
+    /// Coupling of the shared numbers; empty where none is free.
+    shared: Vec<SharedByPoint>,
 }
 
-/// What the shared numbers have of a track by themselves; `None` where none of them is free.
-struct SharedSums {
-    information: SharedMatrix,
-    descent: SharedVector,
+/// Room for one track, used again for the next.
+#[derive(Default)]
+struct Workspace {
+    sights: Vec<LinearSight>,
+    shared: Vec<SharedSight>,
+    rows: Vec<TwistRows>,
 }
 
-/// d(point in camera) / d(camera twist) = `[-I, [x]x]`, applied to a 3 x 3 from the left: `C^T M`.
-fn twist_transposed(in_camera: &Point3, m: &Matrix3<f64>) -> TwistByPoint {
-    let hat = in_camera.coords.cross_matrix();
-    let mut out = TwistByPoint::zeros();
-    out.fixed_view_mut::<3, 3>(0, 0).copy_from(&-m);
-    // [x]x^T = -[x]x.
-    out.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(hat * m));
-    out
-}
-
-/// The same from the right: `M C`.
-fn twist_right<const R: usize>(in_camera: &Point3, m: &SMatrix<f64, R, 3>) -> SMatrix<f64, R, 6> {
-    let hat = in_camera.coords.cross_matrix();
-    let mut out = SMatrix::<f64, R, 6>::zeros();
-    out.fixed_view_mut::<R, 3>(0, 0).copy_from(&-m);
-    out.fixed_view_mut::<R, 3>(0, 3).copy_from(&(m * hat));
-    out
-}
-
-fn linearize(
-    view: &View<'_>,
-    sighting: &Sighting,
-    point: &Point3,
-    shared: &mut Option<SharedSums>,
-) -> Option<LinearSight> {
-    let pose = &view.poses[sighting.posture as usize];
-    let in_camera = pose.inverse_transform_point(point);
-    let projection = view.camera.project_with_jacobian(&in_camera)?;
-    let inverse_sigma = 1.0 / view.scales.pixel;
-    let residual = sighting.whiten(sighting.pixel - projection.pixel) * inverse_sigma;
-    let weight = view.scales.loss.weight(residual.norm());
-    let whitener = sighting.whitener() * inverse_sigma;
-    let jacobian = whitener * projection.by_point;
-    let weighted = jacobian.transpose() * weight;
-    let mut information = weighted * jacobian;
-    let mut descent = weighted * residual;
-    let mut shared_by_point = SharedByPoint::zeros();
-    if let Some(shared) = shared {
-        let by_intrinsics = whitener * projection.by_intrinsics;
-        let weighted = by_intrinsics.transpose() * weight;
-        shared_by_point.fixed_rows_mut::<INTRINSICS>(0).copy_from(&(weighted * jacobian));
-        let mut own = shared.information.fixed_view_mut::<INTRINSICS, INTRINSICS>(0, 0);
-        own += weighted * by_intrinsics;
-        let mut pull = shared.descent.fixed_rows_mut::<INTRINSICS>(0);
-        pull += weighted * residual;
-    }
-    if sighting.depth_m > 0.0 {
-        let (residual, slope) = view.depth_residual(sighting, in_camera.z);
-        let weight = view.scales.loss.weight(residual);
-        information[(2, 2)] += weight * slope * slope;
-        descent.z += weight * residual * slope;
-        if let Some(shared) = shared {
-            // The residual grows with the shared numbers where it falls with z.
-            let by_offset = -slope;
-            let by_scale = -slope * (in_camera.z - view.depth.offset_m) / view.depth.scale;
-            for (i, x) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
-                shared_by_point[(i, 2)] += weight * slope * x;
-                shared.descent[i] += weight * residual * x;
-                for (j, y) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
-                    shared.information[(i, j)] += weight * x * y;
-                }
-            }
-        }
-    }
-    let rotation = *pose.rotation.to_rotation_matrix().matrix();
-    Some(LinearSight { posture: sighting.posture as usize, information, descent, in_camera, rotation, shared_by_point })
-}
-
-/// A track linearised: its point's block and the couplings of its sights.
-struct LinearTrack {
-    sights: Vec<(LinearSight, TwistByPoint)>,
+/// Point block of a track, damped: inverse of its Cholesky factor and of itself.
+struct PointBlock {
+    factor_inverse: Matrix3<f64>,
     inverse: Matrix3<f64>,
-    descent: Vector3<f64>,
-    shared_by_point: SharedByPoint,
-    shared: Option<SharedSums>,
 }
 
-/// `None` where the point's block is singular: the track then says nothing.
-fn linearize_track(
+/// `None` where the smallest eigenvalue is lost beside the greatest: the track then says nothing.
+fn point_block(information: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
+    let damped = information + Matrix3::from_diagonal(&information.diagonal()) * damping;
+    let trace = damped.trace();
+    if damped.determinant() <= 1e-13 * trace * trace * trace {
+        return None;
+    }
+    let l = damped.cholesky()?.unpack();
+    let (a, b, c) = (1.0 / l[(0, 0)], 1.0 / l[(1, 1)], 1.0 / l[(2, 2)]);
+    let d = -l[(1, 0)] * a * b;
+    let e = -l[(2, 1)] * b * c;
+    let f = -(l[(2, 0)] * a + l[(2, 1)] * d) * c;
+    let factor_inverse = Matrix3::new(a, 0.0, 0.0, d, b, 0.0, f, e, c);
+    Some(PointBlock { factor_inverse, inverse: factor_inverse.transpose() * factor_inverse })
+}
+
+/// Inverse of a track's point block without damping: the covariance of the point when the cameras stand still.
+pub(crate) fn point_covariance(view: &View<'_>, track: &[Sighting], point: &Point3) -> Option<Matrix3<f64>> {
+    let sights = track.iter().filter_map(|sighting| view.linearize(sighting, point));
+    let information = sights.fold(Matrix3::zeros(), |sum, sight| sum + sight.information);
+    point_block(&information, 0.0).map(|block| block.inverse)
+}
+
+fn add_track(
+    system: &mut PoseSystem,
+    kept: &mut Eliminated,
+    work: &mut Workspace,
     view: &View<'_>,
     track: &[Sighting],
     point: &Point3,
     shared_free: bool,
     damping: f64,
-) -> Option<LinearTrack> {
+) {
+    work.sights.clear();
+    work.shared.clear();
+    work.rows.clear();
     let mut information = Matrix3::zeros();
     let mut descent = Vector3::zeros();
     let mut shared_by_point = SharedByPoint::zeros();
-    let mut shared =
-        shared_free.then(|| SharedSums { information: SharedMatrix::zeros(), descent: SharedVector::zeros() });
-    let mut sights = Vec::with_capacity(track.len());
     for sighting in track {
-        let Some(sight) = linearize(view, sighting, point, &mut shared) else { continue };
-        let turned = sight.information * sight.rotation.transpose();
-        information += sight.rotation * turned;
-        descent += sight.rotation * sight.descent;
-        if shared_free {
-            shared_by_point += sight.shared_by_point * sight.rotation.transpose();
-        }
-        let coupling = twist_transposed(&sight.in_camera, &turned);
-        sights.push((sight, coupling));
-    }
-    let damped = information + Matrix3::from_diagonal(&information.diagonal()) * damping;
-    let inverse = well_conditioned_inverse(&damped)?;
-    Some(LinearTrack { sights, inverse, descent, shared_by_point, shared })
-}
-
-/// Inverse of a positive definite 3 x 3; `None` where its smallest eigenvalue is lost beside the greatest.
-fn well_conditioned_inverse(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
-    let trace = matrix.trace();
-    if matrix.determinant() > 1e-13 * trace * trace * trace { matrix.try_inverse() } else { None }
-}
-
-fn add_track(system: &mut PoseSystem, track: &LinearTrack) {
-    let inverse = &track.inverse;
-    let moved = inverse * track.descent;
-    system.point_gain += 0.5 * track.descent.dot(&moved);
-    for (k, (sight, coupling)) in track.sights.iter().enumerate() {
-        let i = sight.posture;
-        let y = coupling * inverse;
-        let by_twist = twist_right(&sight.in_camera, &sight.information);
-        // C^T (M C) - W V^-1 W^T.
-        let mut own = -(y * coupling.transpose());
-        let hat = sight.in_camera.coords.cross_matrix();
-        let mut top = own.fixed_rows_mut::<3>(0);
-        top -= by_twist;
-        let mut bottom = own.fixed_rows_mut::<3>(3);
-        bottom -= hat * by_twist;
-        let at = system.index(i, i);
-        system.blocks[at] += own;
-        let mut pull = -(coupling * moved);
-        let mut top = pull.fixed_rows_mut::<3>(0);
-        top -= sight.descent;
-        let mut bottom = pull.fixed_rows_mut::<3>(3);
-        bottom -= sight.in_camera.coords.cross(&sight.descent);
-        system.descent[i] += pull;
-        for (other, other_coupling) in &track.sights[k + 1..] {
-            let j = other.posture;
-            if i < j {
-                let at = system.index(i, j);
-                system.blocks[at] -= y * other_coupling.transpose();
-            } else {
-                let at = system.index(j, i);
-                system.blocks[at] -= other_coupling * y.transpose();
-            }
-        }
-        if track.shared.is_some() {
-            system.shared_by_pose[i] +=
-                twist_right(&sight.in_camera, &sight.shared_by_point) - track.shared_by_point * y.transpose();
+        let Some(sight) = view.linearize(sighting, point) else {
+            kept.sights.push(Symmetric::default());
+            continue;
+        };
+        information += sight.information;
+        descent += sight.descent;
+        kept.sights.push(packed(&sight.information));
+        work.sights.push(sight);
+        if shared_free && let Some(shared) = view.linearize_shared(sighting, point) {
+            shared_by_point += shared.by_point;
+            work.shared.push(shared);
         }
     }
-    if let Some(shared) = &track.shared {
-        let y = track.shared_by_point * inverse;
-        system.shared += shared.information - y * track.shared_by_point.transpose();
-        system.shared_descent += shared.descent - track.shared_by_point * moved;
+    kept.descents.push(descent);
+    if shared_free {
+        kept.shared.push(shared_by_point);
     }
-}
-
-fn add_corner(
-    system: &mut PoseSystem,
-    view: &View<'_>,
-    base_from_board: &Isometry3,
-    corner: &CornerSighting,
-    shared_free: bool,
-) {
-    let point = base_from_board * corner.point_in_board;
-    let mut shared =
-        shared_free.then(|| SharedSums { information: SharedMatrix::zeros(), descent: SharedVector::zeros() });
-    let Some(sight) = linearize(view, &corner.sighting, &point, &mut shared) else { return };
-    let i = sight.posture;
-    // d(point in camera) / d(camera twist) and / d(board twist).
-    let by_camera = twist_right(&sight.in_camera, &Matrix3::identity());
-    let turned = sight.rotation.transpose() * base_from_board.rotation.to_rotation_matrix().matrix();
-    let mut by_board = SMatrix::<f64, 3, 6>::zeros();
-    by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned);
-    by_board.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(turned * corner.point_in_board.coords.cross_matrix()));
-    let (m_camera, m_board) = (sight.information * by_camera, sight.information * by_board);
-    let at = system.index(i, i);
-    system.blocks[at] += by_camera.transpose() * m_camera;
-    system.descent[i] += by_camera.transpose() * sight.descent;
-    system.board += by_board.transpose() * m_board;
-    system.board_descent += by_board.transpose() * sight.descent;
-    system.board_by_pose[i] += by_board.transpose() * m_camera;
-    if let Some(shared) = &shared {
-        system.shared_by_pose[i] += sight.shared_by_point * by_camera;
-        system.shared_by_board += sight.shared_by_point * by_board;
-        system.shared += shared.information;
-        system.shared_descent += shared.descent;
+    let Some(block) = point_block(&information, damping) else {
+        kept.inverses.push(Symmetric::default());
+        return;
+    };
+    kept.inverses.push(packed(&block.inverse));
+    let moved = block.inverse * descent;
+    system.point_gain += 0.5 * descent.dot(&moved);
+    for (k, sight) in work.sights.iter().enumerate() {
+        let pull = sight.descent - sight.information * moved;
+        system.add_sight(sight.posture, point, &sight.information, &pull);
+        let rows = by_twist(&(block.factor_inverse * sight.information), point);
+        for (other, other_rows) in work.sights[..k].iter().zip(&work.rows) {
+            system.subtract(other.posture, other_rows, sight.posture, &rows);
+        }
+        system.subtract(sight.posture, &rows, sight.posture, &rows);
+        work.rows.push(rows);
+    }
+    if shared_free {
+        let by_moved = shared_by_point * block.inverse;
+        for (sight, shared) in work.sights.iter().zip(&work.shared) {
+            system.subtract_shared(sight.posture, &(shared.by_point - by_moved * sight.information), point);
+            system.shared += shared.information;
+            system.shared_descent += shared.descent;
+        }
+        system.shared -= by_moved * shared_by_point.transpose();
+        system.shared_descent -= shared_by_point * moved;
     }
 }
 
 /// Ranges of tracks of about equal work, the same for any number of threads.
-pub(crate) fn track_chunks(observations: &Observations) -> Vec<(usize, usize)> {
-    let blocks = observations.postures * (observations.postures + 1) / 2 * size_of::<Matrix6<f64>>();
-    let count = (PARTIAL_SUMS / blocks.max(1)).clamp(2, 32);
+pub(crate) fn track_chunks(observations: &Observations) -> Vec<Chunk> {
+    let count = (PARTIAL_SUMS / PoseSystem::size(observations.postures).max(1)).clamp(2, 32);
     let work = |track: usize| {
         let sights = observations.track(track).len();
         sights * (sights + 10)
@@ -322,157 +168,111 @@ pub(crate) fn track_chunks(observations: &Observations) -> Vec<(usize, usize)> {
 /// Linearises everything and eliminates the points.
 pub(crate) fn reduce(
     observations: &Observations,
-    chunks: &[(usize, usize)],
+    chunks: &[Chunk],
     view: &View<'_>,
     points: &[Point3],
     base_from_board: Option<&Isometry3>,
     shared_free: bool,
     damping: f64,
-) -> PoseSystem {
-    let partial = |&(from, to): &(usize, usize)| {
+) -> (PoseSystem, Vec<Eliminated>) {
+    let of_chunk = |&(from, to): &Chunk| {
         let mut system = PoseSystem::new(observations.postures);
+        let mut kept = Eliminated::default();
+        kept.sights.reserve_exact(observations.offsets[to] - observations.offsets[from]);
+        kept.inverses.reserve_exact(to - from);
+        kept.descents.reserve_exact(to - from);
+        let mut work = Workspace::default();
         for (track, point) in (from..to).zip(&points[from..to]) {
-            if let Some(linear) = linearize_track(view, observations.track(track), point, shared_free, damping) {
-                add_track(&mut system, &linear);
-            }
+            let track = observations.track(track);
+            add_track(&mut system, &mut kept, &mut work, view, track, point, shared_free, damping);
         }
-        system
+        (system, kept)
     };
-    let partial: Vec<PoseSystem> = chunks.par_iter().map(partial).collect();
+    let partial: Vec<(PoseSystem, Eliminated)> = chunks.par_iter().map(of_chunk).collect();
     let mut system = PoseSystem::new(observations.postures);
-    partial.iter().for_each(|part| system.add(part));
+    let mut eliminated = Vec::with_capacity(partial.len());
+    for (part, kept) in partial {
+        system.add(&part);
+        eliminated.push(kept);
+    }
     if let Some(base_from_board) = base_from_board {
         for corner in &observations.corners {
-            add_corner(&mut system, view, base_from_board, corner, shared_free);
+            system.add_corner(view, base_from_board, corner, shared_free);
         }
     }
-    system
+    (system, eliminated)
 }
 
-/// How the cameras and the shared numbers move in a step.
+/// How the cameras (twists in the base frame) and the shared numbers move in a step.
 pub(crate) struct CameraStep {
     pub twists: Vec<Vector6<f64>>,
     pub shared: Option<SharedVector>,
 }
 
-/// Points after a step of cameras and shared numbers: `V^-1 (g - sum W_i^T xi_i - W_s^T s)`.
-pub(crate) fn substitute_back(
+/// Points after a step of cameras and shared numbers, `V^-1 (g - sum W_i^T xi_i - W_s^T s)`, and the cost of their tracks in the view that the step leads to.
+pub(crate) fn follow(
     observations: &Observations,
-    chunks: &[(usize, usize)],
-    view: &View<'_>,
+    chunks: &[Chunk],
+    eliminated: &[Eliminated],
     points: &[Point3],
     step: &CameraStep,
-    damping: f64,
-) -> Vec<Point3> {
-    let of_track = |track: usize| {
-        let point = points[track];
-        let linear = linearize_track(view, observations.track(track), &point, step.shared.is_some(), damping);
-        linear.map_or(point, |linear| {
-            let mut right = linear.descent;
-            for (sight, coupling) in &linear.sights {
-                right -= coupling.transpose() * step.twists[sight.posture];
+    moved_view: &View<'_>,
+) -> (Vec<Point3>, f64) {
+    let of_chunk = |(&(from, to), kept): (&Chunk, &Eliminated)| {
+        let mut moved = Vec::with_capacity(to - from);
+        let mut cost = 0.0;
+        let mut sights = kept.sights.iter();
+        for track in from..to {
+            let (at, point, sightings) = (track - from, &points[track], observations.track(track));
+            let mut right = kept.descents[at];
+            for (sighting, information) in sightings.iter().zip(&mut sights) {
+                right += times(information, &moved_by(&step.twists[sighting.posture as usize], point));
             }
-            if let Some(shared) = &step.shared {
-                right -= linear.shared_by_point.transpose() * shared;
+            if let (Some(shared), Some(coupling)) = (&step.shared, kept.shared.get(at)) {
+                right -= coupling.tr_mul(shared);
             }
-            point + linear.inverse * right
-        })
+            let next = point + times(&kept.inverses[at], &right);
+            cost += moved_view.cost(sightings, &next);
+            moved.push(next);
+        }
+        (moved, cost)
     };
-    let moved: Vec<Vec<Point3>> = chunks.par_iter().map(|&(from, to)| (from..to).map(of_track).collect()).collect();
-    moved.concat()
+    let parts: Vec<(Vec<Point3>, f64)> = chunks.par_iter().zip(eliminated).map(of_chunk).collect();
+    let cost = parts.iter().map(|(_, cost)| cost).sum();
+    let mut moved = Vec::with_capacity(points.len());
+    parts.iter().for_each(|(points, _)| moved.extend_from_slice(points));
+    (moved, cost)
 }
 
-/// Robust cost of all sights.
-pub(crate) fn total_cost(
-    observations: &Observations,
-    chunks: &[(usize, usize)],
-    view: &View<'_>,
-    points: &[Point3],
-    base_from_board: Option<&Isometry3>,
-) -> f64 {
-    let of_chunk = |&(from, to): &(usize, usize)| -> f64 {
+/// Robust cost of all tracks.
+pub(crate) fn track_cost(observations: &Observations, chunks: &[Chunk], view: &View<'_>, points: &[Point3]) -> f64 {
+    let of_chunk = |&(from, to): &Chunk| -> f64 {
         (from..to).map(|track| view.cost(observations.track(track), &points[track])).sum()
     };
-    let tracks: f64 = chunks.par_iter().map(of_chunk).collect::<Vec<f64>>().iter().sum();
-    let corners: f64 = base_from_board.map_or(0.0, |base_from_board| {
+    chunks.par_iter().map(of_chunk).collect::<Vec<f64>>().iter().sum()
+}
+
+/// Robust cost of all board corners.
+pub(crate) fn corner_cost(observations: &Observations, view: &View<'_>, base_from_board: Option<&Isometry3>) -> f64 {
+    base_from_board.map_or(0.0, |base_from_board| {
         let cost = |corner: &CornerSighting| view.cost_of(&corner.sighting, &(base_from_board * corner.point_in_board));
         observations.corners.iter().map(cost).sum()
-    });
-    tracks + corners
+    })
 }
 
-/// Size and leverage of one sight's residuals.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct ResidualSize {
-    pub posture: u32,
-    /// Distance in px as seen, not whitened.
-    pub distance_px: f64,
-    /// Norm of the whitened pixel residual in sigmas; infinite behind the camera.
-    pub pixel: f64,
-    /// Its two degrees of freedom less what its own point takes.
-    pub pixel_freedom: f64,
-    /// Depth residual in sigmas and what is left of its degree of freedom.
-    pub depth: Option<(f64, f64)>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// All residuals, tracks first, then board corners.
-pub(crate) fn residual_sizes(
-    observations: &Observations,
-    chunks: &[(usize, usize)],
-    view: &View<'_>,
-    points: &[Point3],
-    base_from_board: Option<&Isometry3>,
-) -> Vec<ResidualSize> {
-    let size = |sighting: &Sighting, point: &Point3, spread: &Matrix3<f64>| {
-        let pose = &view.poses[sighting.posture as usize];
-        let in_camera = pose.inverse_transform_point(point);
-        let Some(projection) = view.camera.project_with_jacobian(&in_camera) else {
-            return ResidualSize {
-                posture: sighting.posture,
-                distance_px: f64::INFINITY,
-                pixel: f64::INFINITY,
-                pixel_freedom: 2.0,
-                depth: None,
-            };
-        };
-        let difference = sighting.pixel - projection.pixel;
-        let residual = sighting.whiten(difference) / view.scales.pixel;
-        let rotation = pose.rotation.to_rotation_matrix();
-        let in_frame = rotation.matrix().transpose() * spread * rotation.matrix();
-        let jacobian = sighting.whitener() * projection.by_point / view.scales.pixel;
-        let weight = view.scales.loss.weight(residual.norm());
-        let leverage = (jacobian * in_frame * jacobian.transpose()).trace() * weight;
-        let depth = (sighting.depth_m > 0.0).then(|| {
-            let (u, slope) = view.depth_residual(sighting, in_camera.z);
-            let leverage = view.scales.loss.weight(u) * in_frame[(2, 2)] * slope * slope;
-            (u, (1.0 - leverage).clamp(0.0, 1.0))
-        });
-        ResidualSize {
-            posture: sighting.posture,
-            distance_px: difference.norm(),
-            pixel: residual.norm(),
-            pixel_freedom: (2.0 - leverage).clamp(0.0, 2.0),
-            depth,
-        }
-    };
-    let of_chunk = |&(from, to): &(usize, usize)| -> Vec<ResidualSize> {
-        let mut sizes = Vec::new();
-        for (track, point) in (from..to).zip(&points[from..to]) {
-            let sightings = observations.track(track);
-            let spread = linearize_track(view, sightings, point, false, 0.0)
-                .map_or_else(Matrix3::zeros, |linear| linear.inverse);
-            sizes.extend(sightings.iter().map(|sighting| size(sighting, point, &spread)));
-        }
-        sizes
-    };
-    let mut sizes = chunks.par_iter().map(of_chunk).collect::<Vec<_>>().concat();
-    if let Some(base_from_board) = base_from_board {
-        sizes.extend(
-            observations
-                .corners
-                .iter()
-                .map(|corner| size(&corner.sighting, &(base_from_board * corner.point_in_board), &Matrix3::zeros())),
-        );
+    #[test]
+    fn point_blocks_are_inverted_and_lines_refused() {
+        let v = Matrix3::new(4.0, 0.5, -0.3, 0.5, 3.0, 0.2, -0.3, 0.2, 0.7);
+        let block = point_block(&v, 0.0).unwrap();
+        assert!((block.inverse * v - Matrix3::identity()).norm() < 1e-14);
+        assert!((block.factor_inverse * v * block.factor_inverse.transpose() - Matrix3::identity()).norm() < 1e-14);
+        let along = Vector3::new(0.3, 0.5, 1.0);
+        assert!(point_block(&(along * along.transpose()), 0.0).is_none());
+        let w = Vector3::new(0.4, -0.2, 1.3);
+        assert!((times(&packed(&v), &w) - v * w).norm() < 1e-15);
     }
-    sizes
 }

@@ -3,7 +3,7 @@
 use crate::bundle::adjust::{Adjustment, marginal, posed_state, variances};
 use crate::bundle::noise::{self, OUTLIER_SIGMAS, efficiency_factor, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
-use crate::bundle::reduced::ResidualSize;
+use crate::bundle::residuals::ResidualSize;
 use crate::bundle::start::{pairs_from_tracks, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
 use crate::error_function::epipolar_statistics;
@@ -244,7 +244,8 @@ impl Solve<'_> {
         let loss = Loss::Cauchy(20.0);
         let mut state = posed_state(model, deviations.to_vec(), self.motion, &observations, &noise, loss)?;
         state.deviations = Vec::new();
-        let mut points = triangulate_all(&observations, &state.view(&noise, loss));
+        let known = fallback.map(|known| &known.points[..]);
+        let mut points = triangulate_all(&observations, &state.view(&noise, loss), known);
         match fallback {
             Some(known) => {
                 points.iter_mut().zip(&known.points).for_each(|(point, known)| *point = point.or(Some(*known)));

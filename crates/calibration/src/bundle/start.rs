@@ -2,7 +2,7 @@
 
 use crate::bundle::observations::{Observations, Sighting};
 use crate::bundle::reduced::track_chunks;
-use crate::bundle::triangulate::View;
+use crate::bundle::view::View;
 use crate::robust::median;
 use crate::{PairMatch, PairMatches};
 use nalgebra::{Matrix3, Vector3};
@@ -56,11 +56,17 @@ pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches>
         .collect()
 }
 
-/// A point for every track; `None` for those that cannot be had.
-pub(crate) fn triangulate_all(observations: &Observations, view: &View<'_>) -> Vec<Option<Point3>> {
+/// A point for every track; `None` for those that cannot be had. `known`: points to try first.
+pub(crate) fn triangulate_all(
+    observations: &Observations,
+    view: &View<'_>,
+    known: Option<&[Point3]>,
+) -> Vec<Option<Point3>> {
     let chunks = track_chunks(observations);
     let of_chunk = |&(from, to): &(usize, usize)| -> Vec<Option<Point3>> {
-        (from..to).map(|track| view.triangulate(observations.track(track))).collect()
+        (from..to)
+            .map(|track| view.triangulate(observations.track(track), known.map(|points| &points[track])))
+            .collect()
     };
     chunks.par_iter().map(of_chunk).collect::<Vec<_>>().concat()
 }
@@ -70,7 +76,7 @@ pub(crate) fn place_board(observations: &Observations, view: &View<'_>) -> Optio
     let corners: Vec<(Point3, Point3)> = observations
         .corner_tracks
         .iter()
-        .filter_map(|(in_board, track)| Some((*in_board, view.triangulate(track)?)))
+        .filter_map(|(in_board, track)| Some((*in_board, view.triangulate(track, None)?)))
         .collect();
     let first = align(&corners)?;
     let error = |corner: &(Point3, Point3)| (first * corner.0 - corner.1).norm();

@@ -1,6 +1,6 @@
 //! What the bundle adjustment moves, and what it measures with.
 
-use crate::bundle::triangulate::{Scales, View};
+use crate::bundle::view::{Frame, Scales, View};
 use crate::motion::Motion;
 use crate::{CalibrationError, Loss, Model};
 use serde::{Deserialize, Serialize};
@@ -15,20 +15,20 @@ pub(crate) struct State {
     /// One a track.
     pub points: Vec<Point3>,
     pub base_from_board: Option<Isometry3>,
-    /// Camera poses of the above.
-    pub poses: Vec<Isometry3>,
+    /// The cameras of the above.
+    pub frames: Vec<Frame>,
 }
 
 impl State {
-    pub(crate) fn refresh_poses(&mut self, motion: &Motion) -> Result<(), CalibrationError> {
-        self.poses = motion.poses(&self.model, &self.deviations)?;
+    pub(crate) fn refresh_frames(&mut self, motion: &Motion) -> Result<(), CalibrationError> {
+        self.frames = motion.poses(&self.model, &self.deviations)?.iter().map(Frame::new).collect();
         Ok(())
     }
 
     pub(crate) fn view<'a>(&'a self, noise: &NoiseScales, loss: Loss) -> View<'a> {
         View {
             camera: &self.model.rig.color,
-            poses: &self.poses,
+            frames: &self.frames,
             depth: self.model.depth,
             scales: Scales { loss, pixel: noise.pixel, depth: noise.depth },
         }

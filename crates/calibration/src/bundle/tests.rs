@@ -75,7 +75,7 @@ fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
             .triangulate(&state)
             .into_iter()
             .enumerate()
-            .map(|(track, point)| view.refine(observations.track(track), point.unwrap()))
+            .map(|(track, point)| view.refine(observations.track(track), point.unwrap()).1)
             .collect();
         state
     };

@@ -1,8 +1,10 @@
 //! From camera poses to the numbers that move them: parameters, the board's pose, joint deviations.
 
-use crate::bundle::reduced::{CameraStep, DEPTH_OFFSET, DEPTH_SCALE, PoseSystem, SHARED};
+use crate::bundle::pose_system::PoseSystem;
+use crate::bundle::reduced::CameraStep;
 use crate::bundle::state::State;
-use crate::motion::{CameraMotion, Motion};
+use crate::bundle::view::{DEPTH_OFFSET, DEPTH_SCALE, SHARED};
+use crate::motion::{CameraMotion, Motion, in_base};
 use crate::{CalibrationError, Parameter};
 use nalgebra::{DMatrix, DVector, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
@@ -17,7 +19,7 @@ pub(crate) struct Unknowns<'a> {
     pub postures: usize,
 }
 
-/// Columns of camera motion at a state.
+/// Columns of camera motion at a state: twists of the base frame.
 pub(crate) struct Columns {
     /// A posture: 6 x parameters.
     by_parameter: Vec<DMatrix<f64>>,
@@ -48,10 +50,16 @@ impl Unknowns<'_> {
                 motion.linearize(&state.model, self.parameters, posture, deviation)
             })
             .collect::<Result<Vec<CameraMotion>, _>>()?;
-        let matrix = |columns: &[Vector6<f64>]| DMatrix::from_fn(6, columns.len(), |row, k| columns[k][row]);
+        let matrix = |camera: &CameraMotion, columns: &[Vector6<f64>]| {
+            let mut twists = DMatrix::zeros(6, columns.len());
+            for (k, twist) in columns.iter().enumerate() {
+                twists.fixed_view_mut::<6, 1>(0, k).copy_from(&in_base(&camera.base_from_camera, twist));
+            }
+            twists
+        };
         Ok(Columns {
-            by_parameter: cameras.iter().map(|camera| matrix(&camera.by_parameter)).collect(),
-            by_joint: cameras.iter().map(|camera| matrix(&camera.by_joint[..self.joints])).collect(),
+            by_parameter: cameras.iter().map(|camera| matrix(camera, &camera.by_parameter)).collect(),
+            by_joint: cameras.iter().map(|camera| matrix(camera, &camera.by_joint[..self.joints])).collect(),
             shared: self.parameters.iter().map(|&parameter| shared_index(parameter)).collect(),
         })
     }
@@ -150,7 +158,7 @@ impl Unknowns<'_> {
             deviations: state.deviations.clone(),
             points: Vec::new(),
             base_from_board: state.base_from_board,
-            poses: Vec::new(),
+            frames: Vec::new(),
         };
         if let (true, Some(board)) = (self.board, &mut moved.base_from_board) {
             let twist = step.rows(parameters, 6);
@@ -162,7 +170,7 @@ impl Unknowns<'_> {
         }
         let at = self.first_deviation();
         moved.deviations.iter_mut().zip(&step.as_slice()[at..]).for_each(|(value, change)| *value += change);
-        moved.refresh_poses(motion)?;
+        moved.refresh_frames(motion)?;
         Ok(moved)
     }
 }

@@ -1,0 +1,192 @@
+//! What the cameras measure of a scene point: residuals, costs, and both linearised by the point.
+//!
+//! Everything is differentiated by the point *in the base frame*. A twist `(v, omega)` of the base frame that moves a camera moves what it sees by
+//! `-(v + omega x X)`, whichever camera it is, so that the 3 x 3 information of a point is all that a sight has to tell.
+
+use crate::bundle::observations::Sighting;
+use crate::{DepthCorrection, Loss};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use skclam_geometry::{INTRINSICS, Isometry3, PinholeCamera, Point3};
+
+/// Intrinsics, depth offset, depth scale.
+pub(crate) const SHARED: usize = INTRINSICS + 2;
+pub(crate) const DEPTH_OFFSET: usize = INTRINSICS;
+pub(crate) const DEPTH_SCALE: usize = INTRINSICS + 1;
+
+/// No sensor reads less, m.
+const NEAREST_M: f64 = 1e-3;
+
+/// Residual, in sigmas, of what lies behind the camera.
+pub(crate) const BEHIND: f64 = 1e3;
+
+/// A camera's pose, as the inner loops want it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Frame {
+    pub camera_from_base: Matrix3<f64>,
+    pub center_in_base: Point3,
+}
+
+impl Frame {
+    pub(crate) fn new(base_from_camera: &Isometry3) -> Self {
+        Frame {
+            camera_from_base: base_from_camera.rotation.to_rotation_matrix().matrix().transpose(),
+            center_in_base: base_from_camera.translation.vector.into(),
+        }
+    }
+
+    #[inline]
+    pub(crate) fn in_camera(&self, point_in_base: &Point3) -> Point3 {
+        Point3::from(self.camera_from_base * (point_in_base - self.center_in_base))
+    }
+
+    pub(crate) fn in_base(&self, point_in_camera: &Point3) -> Point3 {
+        self.center_in_base + self.camera_from_base.tr_mul(&point_in_camera.coords)
+    }
+}
+
+/// What residuals are measured with.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scales {
+    pub loss: Loss,
+    /// Sigma of a pixel coordinate whose covariance is told as 1.
+    pub pixel: f64,
+    /// `s` of `sigma = s z^2`: the sigma of an inverse depth.
+    pub depth: f64,
+}
+
+/// The cameras that look at the points.
+#[derive(Clone, Copy)]
+pub(crate) struct View<'a> {
+    pub camera: &'a PinholeCamera,
+    pub frames: &'a [Frame],
+    pub depth: DepthCorrection,
+    pub scales: Scales,
+}
+
+/// A sight's weighted normal equations by its point in the base frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LinearSight {
+    pub posture: usize,
+    pub information: Matrix3<f64>,
+    pub descent: Vector3<f64>,
+}
+
+/// The same for the numbers that all sights share.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SharedSight {
+    /// With the point in the base frame.
+    pub by_point: SMatrix<f64, SHARED, 3>,
+    pub information: SMatrix<f64, SHARED, SHARED>,
+    pub descent: SVector<f64, SHARED>,
+}
+
+impl View<'_> {
+    pub(crate) fn frame(&self, sighting: &Sighting) -> &Frame {
+        &self.frames[sighting.posture as usize]
+    }
+
+    /// Robust cost of a point; what lies behind a camera costs as an outlier.
+    pub(crate) fn cost(&self, track: &[Sighting], point: &Point3) -> f64 {
+        track.iter().map(|sighting| self.cost_of(sighting, point)).sum()
+    }
+
+    pub(crate) fn cost_of(&self, sighting: &Sighting, point: &Point3) -> f64 {
+        let in_camera = self.frame(sighting).in_camera(point);
+        let loss = self.scales.loss;
+        let Some(pixel) = self.camera.project(&in_camera) else { return 2.0 * loss.rho(BEHIND) };
+        let u = sighting.size(&(sighting.pixel - pixel)) / self.scales.pixel;
+        let depth = if sighting.depth_m > 0.0 { loss.rho(self.depth_residual(sighting, in_camera.z).0) } else { 0.0 };
+        loss.rho(u) + depth
+    }
+
+    /// How much farther the sensor saw a point than it should have at `z`, in sigmas, and by how much that falls a metre of z.
+    ///
+    /// It is taken in *inverse* depth of the sensor's own reading, where the noise `s z^2` of a depth is the constant `s`: weights made of
+    /// noisy depths would count near readings more than far ones and shrink the world, and a residual in corrected metres would shrink with the
+    /// depth's scale. The mean of the reciprocal of a reading with normal noise, `1/z + s^2 z`, is allowed for.
+    pub(crate) fn depth_residual(&self, sighting: &Sighting, z: f64) -> (f64, f64) {
+        let s = self.scales.depth;
+        let expected = ((z - self.depth.offset_m) / self.depth.scale).max(NEAREST_M);
+        let measured = 1.0 / sighting.depth_m - s * s * sighting.depth_m;
+        ((1.0 / expected - measured) / s, 1.0 / (expected * expected * self.depth.scale * s))
+    }
+
+    /// `None` behind the camera.
+    #[inline]
+    pub(crate) fn linearize(&self, sighting: &Sighting, point: &Point3) -> Option<LinearSight> {
+        let frame = self.frame(sighting);
+        let in_camera = frame.in_camera(point);
+        let (pixel, by_point) = self.camera.project_with_point_jacobian(&in_camera)?;
+        let residual = sighting.pixel - pixel;
+        let omega = self.pixel_information(sighting, &residual);
+        let [a, b, c] = omega;
+        let (u, v) = (by_point.row(0) * frame.camera_from_base, by_point.row(1) * frame.camera_from_base);
+        let (pull_u, pull_v) = (a * residual.x + b * residual.y, b * residual.x + c * residual.y);
+        let (wu, wv) = (u * a + v * b, u * b + v * c);
+        let (mut depth_weight, mut depth_pull) = (0.0, 0.0);
+        if sighting.depth_m > 0.0 {
+            let (residual, slope) = self.depth_residual(sighting, in_camera.z);
+            let weight = self.scales.loss.weight(residual);
+            (depth_weight, depth_pull) = (weight * slope * slope, weight * residual * slope);
+        }
+        let z = frame.camera_from_base.row(2);
+        let entry = |i: usize, j: usize| u[i] * wu[j] + v[i] * wv[j] + depth_weight * z[i] * z[j];
+        let (xx, xy, xz) = (entry(0, 0), entry(0, 1), entry(0, 2));
+        let (yy, yz, zz) = (entry(1, 1), entry(1, 2), entry(2, 2));
+        Some(LinearSight {
+            posture: sighting.posture as usize,
+            information: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+            descent: Vector3::from_fn(|i, _| u[i] * pull_u + v[i] * pull_v + z[i] * depth_pull),
+        })
+    }
+
+    /// Inverse covariance of the pixel's two coordinates with the loss's weight at a residual: xx, xy, yy.
+    fn pixel_information(&self, sighting: &Sighting, residual: &Vector2<f64>) -> [f64; 3] {
+        let inverse_variance = 1.0 / (self.scales.pixel * self.scales.pixel);
+        let size = sighting.size(residual) / self.scales.pixel;
+        let weight = self.scales.loss.weight(size) * inverse_variance;
+        sighting.information.map(|x| x * weight)
+    }
+
+    /// What the shared numbers have of a sight; `None` behind the camera.
+    pub(crate) fn linearize_shared(&self, sighting: &Sighting, point: &Point3) -> Option<SharedSight> {
+        let frame = self.frame(sighting);
+        let in_camera = frame.in_camera(point);
+        let projection = self.camera.project_with_jacobian(&in_camera)?;
+        let residual = sighting.pixel - projection.pixel;
+        let [a, b, c] = self.pixel_information(sighting, &residual);
+        let by_base = projection.by_point * frame.camera_from_base;
+        let mut shared =
+            SharedSight { by_point: SMatrix::zeros(), information: SMatrix::zeros(), descent: SVector::zeros() };
+        let by = &projection.by_intrinsics;
+        for j in 0..INTRINSICS {
+            let (u, v) = (by[(0, j)], by[(1, j)]);
+            // Most entries are zero: a focal length and a coordinate of the centre each move one coordinate.
+            let (wu, wv) = (a * u + b * v, b * u + c * v);
+            for i in 0..3 {
+                shared.by_point[(j, i)] = wu * by_base[(0, i)] + wv * by_base[(1, i)];
+            }
+            shared.descent[j] = wu * residual.x + wv * residual.y;
+            for i in 0..INTRINSICS {
+                shared.information[(i, j)] = by[(0, i)] * wu + by[(1, i)] * wv;
+            }
+        }
+        if sighting.depth_m > 0.0 {
+            let (residual, slope) = self.depth_residual(sighting, in_camera.z);
+            let weight = self.scales.loss.weight(residual);
+            // The residual grows with the shared numbers where it falls with z.
+            let by_offset = -slope;
+            let by_scale = -slope * (in_camera.z - self.depth.offset_m) / self.depth.scale;
+            for (i, x) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+                for axis in 0..3 {
+                    shared.by_point[(i, axis)] = weight * slope * x * frame.camera_from_base[(2, axis)];
+                }
+                shared.descent[i] = weight * residual * x;
+                for (j, y) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+                    shared.information[(i, j)] = weight * x * y;
+                }
+            }
+        }
+        Some(shared)
+    }
+}
