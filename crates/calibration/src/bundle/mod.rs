@@ -13,6 +13,7 @@ mod residuals;
 mod solve;
 mod start;
 mod state;
+mod suspects;
 #[cfg(test)]
 mod tests;
 mod triangulate;

@@ -41,9 +41,11 @@ pub(crate) struct Eliminated {
     shared: Vec<SharedByPoint>,
 }
 
-/// Room for one track, used again for the next.
+/// How tracks are eliminated, and room for one of them, used again for the next.
 #[derive(Default)]
 struct Workspace {
+    shared_free: bool,
+    damping: f64,
     sights: Vec<LinearSight>,
     shared: Vec<SharedSight>,
     rows: Vec<TwistRows>,
@@ -85,9 +87,8 @@ fn add_track(
     view: &View<'_>,
     track: &[Sighting],
     point: &Point3,
-    shared_free: bool,
-    damping: f64,
 ) {
+    let shared_free = work.shared_free;
     work.sights.clear();
     work.shared.clear();
     work.rows.clear();
@@ -112,7 +113,7 @@ fn add_track(
     if shared_free {
         kept.shared.push(shared_by_point);
     }
-    let Some(block) = point_block(&information, damping) else {
+    let Some(block) = point_block(&information, work.damping) else {
         kept.inverses.push(Symmetric::default());
         return;
     };
@@ -181,10 +182,10 @@ pub(crate) fn reduce(
         kept.sights.reserve_exact(observations.offsets[to] - observations.offsets[from]);
         kept.inverses.reserve_exact(to - from);
         kept.descents.reserve_exact(to - from);
-        let mut work = Workspace::default();
+        let mut work = Workspace { shared_free, damping, ..Workspace::default() };
         for (track, point) in (from..to).zip(&points[from..to]) {
             let track = observations.track(track);
-            add_track(&mut system, &mut kept, &mut work, view, track, point, shared_free, damping);
+            add_track(&mut system, &mut kept, &mut work, view, track, point);
         }
         (system, kept)
     };
@@ -222,8 +223,8 @@ pub(crate) fn follow(
         let mut moved = Vec::with_capacity(to - from);
         let mut cost = 0.0;
         let mut sights = kept.sights.iter();
-        for track in from..to {
-            let (at, point, sightings) = (track - from, &points[track], observations.track(track));
+        for (at, point) in points[from..to].iter().enumerate() {
+            let sightings = observations.track(from + at);
             let mut right = kept.descents[at];
             for (sighting, information) in sightings.iter().zip(&mut sights) {
                 right += times(information, &moved_by(&step.twists[sighting.posture as usize], point));

@@ -6,6 +6,7 @@ use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
 use crate::bundle::start::{pairs_from_tracks, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
+use crate::bundle::suspects::{judged, suspects};
 use crate::error_function::epipolar_statistics;
 use crate::identifiability::identify;
 use crate::motion::Motion;
@@ -77,16 +78,14 @@ const START_MATCHES: usize = 20_000;
 const FIRST_DEVIATION: f64 = 5.2e-5;
 /// Deviations below this (0.0003 deg) move no pixel by what can be measured, rad.
 const LEAST_DEVIATION: f64 = 5e-6;
+/// Times that the sample is searched for postures that are wrong.
+const EARLY_LOOKS: usize = 3;
+/// A posture whose deviations are so many times as large as those of the median posture says nothing about the encoders.
+const FAR_OFF: f64 = 5.0;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
 /// The noise has settled when it changes by less than this fraction.
 const SETTLED: f64 = 0.01;
-
-/// A posture is suspect when so many of its sights are outliers, and so many more than everywhere.
-const SUSPECT_FRACTION: f64 = 0.5;
-const SUSPECT_EXCESS: f64 = 0.25;
-/// Or when its median residual is so many times that of the median posture.
-const SUSPECT_MEDIAN: f64 = 3.0;
 
 struct Adjusted {
     state: State,
@@ -151,30 +150,52 @@ pub fn calibrate_bundle(
     let noise = NoiseScales { pixel, depth: FIRST_DEPTH, deviation: first_deviation };
     let solve = Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options };
     let none = vec![0.0; joints * motion.len()];
+    let without = |out: &[usize]| {
+        let keep = |posture: usize| !out.contains(&posture);
+        Observations::new(nominal, data, &keep, &mut Vec::new())
+    };
+    // Most of the way on a sample, the last steps on everything. The sigma of the joints' deviations is held at first: estimated beside a posture that is wrong, it would grow
+    // until deviations explain anything.
     let stride = all.sightings.len().div_ceil(SAMPLE_SIGHTS).max(1);
-    let mut adjusted = if stride > 1 {
-        // Most of the way on a sample, the last steps on everything.
-        let sample = solve.adjust(&start, none, noise, all.sampled(stride))?;
-        let mut rest = solve.adjust(&sample.state.model, sample.state.deviations, sample.noise, all)?;
+    let mut sample = solve.adjust(&start, none, noise, all.sampled(stride), false)?;
+    let mut early = Vec::new();
+    for _ in 0..EARLY_LOOKS {
+        // The worst hide the less bad: look again without them.
+        let found = suspects(&judged(&sample.sizes, &sample.observations));
+        if found.is_empty() || !options.leave_out_suspects {
+            break;
+        }
+        early.extend(found);
+        let rest = without(&early)?.sampled(stride);
+        let Adjusted { state, noise, termination, .. } = sample;
+        sample = solve.adjust(&state.model, state.deviations, noise, rest, false)?;
+        sample.termination.add_effort(&termination);
+    }
+    let everything = if early.is_empty() { all } else { without(&early)? };
+    let mut adjusted = if stride == 1 && early.is_empty() && !(joints > 0 && solve.estimates_deviations()) {
+        sample
+    } else {
+        let Adjusted { state, noise, .. } = &sample;
+        let mut rest = solve.adjust(&state.model, state.deviations.clone(), *noise, everything, true)?;
         rest.termination.add_effort(&sample.termination);
         rest
-    } else {
-        solve.adjust(&start, none, noise, all)?
     };
     let again = |from: &Adjusted, observations: Observations| -> Result<Adjusted, CalibrationError> {
         let deviations = from.state.deviations.clone();
-        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations)?;
+        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations, true)?;
         next.termination.add_effort(&from.termination);
         Ok(next)
     };
     let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
-    let mut suspects = suspects(&fits);
+    let mut suspects = suspects(&judged(&adjusted.sizes, &adjusted.observations));
+    let found_late = !suspects.is_empty();
+    suspects.extend(early);
+    suspects.sort_unstable();
+    suspects.dedup();
     if !suspects.is_empty() && options.leave_out_suspects {
-        let without = |out: &[usize]| {
-            let keep = |posture: usize| !out.contains(&posture);
-            Observations::new(nominal, data, &keep, &mut Vec::new())
-        };
-        adjusted = again(&adjusted, without(&suspects)?)?;
+        if found_late {
+            adjusted = again(&adjusted, without(&suspects)?)?;
+        }
         // A wrong posture spoils those that share its tracks: each is heard again beside those that are right.
         let all_out = suspects.clone();
         let mut told = Vec::new();
@@ -183,8 +204,8 @@ pub fn calibrate_bundle(
             let beside = without(&others)?;
             let Adjusted { state, noise, .. } = &adjusted;
             let heard = solve.evaluate(&state.model, &state.deviations, &beside, *noise, None)?;
-            let beside = posture_fits(&heard.sizes, data.postures.len());
-            if self::suspects(&beside).contains(&posture) {
+            let beside = judged(&heard.sizes, &heard.observations);
+            if crate::bundle::suspects::suspects(&beside).contains(&posture) {
                 told.push(beside[posture]);
             } else {
                 suspects.retain(|suspect| *suspect != posture);
@@ -282,6 +303,7 @@ impl Solve<'_> {
         deviations: Vec<f64>,
         mut noise: NoiseScales,
         mut observations: Observations,
+        estimate_deviations: bool,
     ) -> Result<Adjusted, CalibrationError> {
         let loss = self.options.loss;
         let joints = deviations.len();
@@ -305,7 +327,7 @@ impl Solve<'_> {
             sizes = adjustment.residual_sizes(&state);
             let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
             let mut next = rescaled(&sizes, &noise, 1.0 - unknown_count as f64 / freedom.max(1.0));
-            if joints > 0 && self.estimates_deviations() {
+            if joints > 0 && estimate_deviations && self.estimates_deviations() {
                 // The fixed point is approached by small factors; their square halves the number of rounds.
                 let factor = (self.deviation_sigma(&adjustment, &state)? / noise.deviation).clamp(0.3, 3.0);
                 next.deviation = (noise.deviation * factor * factor).max(LEAST_DEVIATION);
@@ -335,9 +357,20 @@ impl Solve<'_> {
         let prior = adjustment.noise.deviation;
         let Some(variances) = variances(&information) else { return Ok(prior) };
         let first = information.nrows() - state.deviations.len();
-        let determined: f64 =
-            (first..information.nrows()).map(|k| (1.0 - variances[k] / (prior * prior)).clamp(0.0, 1.0)).sum();
-        let squares: f64 = state.deviations.iter().map(|d| d * d).sum();
+        let joints = state.deviations.len() / self.motion.len();
+        // Squares and determined numbers, posture by posture: one that stands far off (a bumped camera, wrong joints) is no encoder noise.
+        let of_posture: Vec<(f64, f64)> = (0..self.motion.len())
+            .map(|posture| {
+                let range = posture * joints..(posture + 1) * joints;
+                let determined =
+                    range.clone().map(|k| (1.0 - variances[first + k] / (prior * prior)).clamp(0.0, 1.0)).sum();
+                (state.deviations[range].iter().map(|d| d * d).sum(), determined)
+            })
+            .collect();
+        let ratio = |(squares, determined): &(f64, f64)| squares / determined.max(1e-3);
+        let usual = median(&mut of_posture.iter().map(ratio).collect::<Vec<_>>());
+        let kept = of_posture.iter().filter(|posture| ratio(posture) <= FAR_OFF * FAR_OFF * usual);
+        let (squares, determined) = kept.fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         if determined < 0.5 { Ok(prior) } else { Ok((squares / determined).sqrt()) }
     }
 
@@ -472,26 +505,4 @@ fn start(
         Err(CalibrationError::TooFew { .. } | CalibrationError::NothingFree) => Ok((Model::new(nominal.clone()), 2.0)),
         Err(error) => Err(error),
     }
-}
-
-/// Postures that fit far worse than the others; never more than a fifth of them.
-fn suspects(fits: &[PostureFit]) -> Vec<usize> {
-    let seen: Vec<(usize, &PostureFit)> = fits.iter().enumerate().filter(|(_, fit)| fit.observations >= 8).collect();
-    let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
-    let usual_fraction = median(&mut seen.iter().map(|(_, fit)| fraction(fit)).collect::<Vec<_>>());
-    let usual_median = median(&mut seen.iter().map(|(_, fit)| fit.median_sigmas).collect::<Vec<_>>());
-    let mut bad: Vec<(f64, usize)> = seen
-        .iter()
-        .filter(|(_, fit)| {
-            let excess = fraction(fit) - usual_fraction;
-            fraction(fit) > SUSPECT_FRACTION && excess > SUSPECT_EXCESS
-                || fit.median_sigmas > SUSPECT_MEDIAN * usual_median.max(1.0)
-        })
-        .map(|(posture, fit)| (fraction(fit), *posture))
-        .collect();
-    bad.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    bad.truncate(fits.len() / 5);
-    let mut postures: Vec<usize> = bad.into_iter().map(|(_, posture)| posture).collect();
-    postures.sort_unstable();
-    postures
 }

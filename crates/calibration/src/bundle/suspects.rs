@@ -1,0 +1,57 @@
+//! Which postures do not belong: wrong joint values, a bumped camera, a moved scene.
+//!
+//! Where two sights of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in which at least two others agree.
+
+use crate::PostureFit;
+use crate::bundle::noise::{OUTLIER_SIGMAS, posture_fits};
+use crate::bundle::observations::Observations;
+use crate::bundle::residuals::ResidualSize;
+use crate::robust::median;
+
+/// A posture is suspect when so many of its sights are outliers, and so many more than everywhere.
+const SUSPECT_FRACTION: f64 = 0.5;
+const SUSPECT_EXCESS: f64 = 0.25;
+/// Or when its median residual is so many times that of the median posture.
+const SUSPECT_MEDIAN: f64 = 3.0;
+/// Sights that a judgement takes.
+const ENOUGH_SIGHTS: usize = 8;
+
+/// How well each posture fits where it can be told: in tracks of three sights or more of which two agree, and on the board. Postures with hardly any such sights are
+/// judged by all.
+pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec<PostureFit> {
+    let mut told: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
+    for range in observations.offsets.windows(2) {
+        let track = &sizes[range[0]..range[1]];
+        if track.len() >= 3 && track.iter().filter(|size| size.pixel < OUTLIER_SIGMAS).count() >= 2 {
+            told.extend_from_slice(track);
+        }
+    }
+    told.extend_from_slice(&sizes[observations.sightings.len()..]);
+    let mut fits = posture_fits(&told, observations.postures);
+    let all = posture_fits(sizes, observations.postures);
+    fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < ENOUGH_SIGHTS).for_each(|(fit, all)| *fit = all);
+    fits
+}
+
+/// Postures that fit far worse than the others; never more than a fifth of them.
+pub(crate) fn suspects(fits: &[PostureFit]) -> Vec<usize> {
+    let seen: Vec<(usize, &PostureFit)> =
+        fits.iter().enumerate().filter(|(_, fit)| fit.observations >= ENOUGH_SIGHTS).collect();
+    let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
+    let usual_fraction = median(&mut seen.iter().map(|(_, fit)| fraction(fit)).collect::<Vec<_>>());
+    let usual_median = median(&mut seen.iter().map(|(_, fit)| fit.median_sigmas).collect::<Vec<_>>());
+    let mut bad: Vec<(f64, usize)> = seen
+        .iter()
+        .filter(|(_, fit)| {
+            let excess = fraction(fit) - usual_fraction;
+            fraction(fit) > SUSPECT_FRACTION && excess > SUSPECT_EXCESS
+                || fit.median_sigmas > SUSPECT_MEDIAN * usual_median.max(1.0)
+        })
+        .map(|(posture, fit)| (fraction(fit), *posture))
+        .collect();
+    bad.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    bad.truncate(fits.len() / 5);
+    let mut postures: Vec<usize> = bad.into_iter().map(|(_, posture)| posture).collect();
+    postures.sort_unstable();
+    postures
+}
