@@ -4,13 +4,19 @@
 //! noise, so memory grows with the surface and not with the number of images. Points are dealt out to shards by their
 //! voxel; each shard takes its points in image order, and the result is ordered by voxel: the same bytes on any number
 //! of threads.
+//!
+//! What does not depend on the pose (which pixels are believed, their normals and colours) is found once an image, so
+//! that a second map at other poses costs only its voxels: [`CloudBuilder::points`] and [`CloudBuilder::add_points`].
 
-use crate::normals::{NormalWindow, surface_patches};
-use crate::view::Rays;
+use crate::rays::Rays;
+use crate::view::check_isometry;
+use crate::view_points::{ViewPoint, ViewPoints};
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, PointCloud, View};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use skclam_geometry::{Isometry3, Point3};
 use std::mem::size_of;
 
 const SHARD_BITS: u32 = 6;
@@ -39,6 +45,17 @@ pub enum PointNormals {
     None,
 }
 
+/// Which depth a point stands at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PointDepths {
+    /// That of the plane through the pixel's surroundings, wherever they are flat within the noise: a thinner surface.
+    #[default]
+    Fitted,
+    /// That of the depth image.
+    Measured,
+}
+
 /// How a cloud is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -53,6 +70,8 @@ pub struct CloudOptions {
     pub uncolored: UncoloredPoints,
     /// Whether points get normals, fitted to their surroundings in the depth image.
     pub normals: PointNormals,
+    /// Which depth a point stands at.
+    pub depths: PointDepths,
     /// Memory that the cloud may take while it is built, MiB.
     pub memory_limit_mib: u64,
 }
@@ -65,18 +84,10 @@ impl Default for CloudOptions {
             min_pixels_per_voxel: 1,
             uncolored: UncoloredPoints::Grey,
             normals: PointNormals::Fitted,
+            depths: PointDepths::Fitted,
             memory_limit_mib: 1024,
         }
     }
-}
-
-/// One believed pixel: where it is and what it weighs.
-#[derive(Clone, Copy)]
-struct Sample {
-    point_in_base: [f64; 3],
-    weight: f32,
-    normal_in_base: [f32; 3],
-    color: Option<[f32; 3]>,
 }
 
 /// Weighted sums over one voxel; positions relative to its corner keep single precision harmless.
@@ -98,6 +109,61 @@ pub struct CloudBuilder {
     shards: Vec<VoxelMap<Cell>>,
     raw: PointCloud,
     views: usize,
+}
+
+/// The mean of a cell.
+struct FinishedPoint {
+    point: [f32; 3],
+    color: [u8; 3],
+    normal: [f32; 3],
+}
+
+impl Cell {
+    fn finish(&self, key: VoxelKey, voxel_m: f64, options: &CloudOptions) -> Option<FinishedPoint> {
+        if self.pixels < options.min_pixels_per_voxel {
+            return None;
+        }
+        let color = if self.color_weight > 0.0 {
+            self.color.map(|sum| sum / self.color_weight)
+        } else if options.uncolored == UncoloredPoints::Grey {
+            [NEUTRAL_GREY; 3]
+        } else {
+            return None;
+        };
+        let corner = key.index();
+        let point = std::array::from_fn(|axis| {
+            (f64::from(corner[axis]) * voxel_m + f64::from(self.offset[axis] / self.weight)) as f32
+        });
+        Some(FinishedPoint { point, color: color.map(to_byte), normal: unit_or_up(self.normal) })
+    }
+
+    #[inline]
+    fn add(&mut self, offset: [f32; 3], normal: [f32; 3], weight: f32, color: Option<[f32; 3]>) {
+        for axis in 0..3 {
+            self.offset[axis] += weight * offset[axis];
+            self.normal[axis] += weight * normal[axis];
+        }
+        self.weight += weight;
+        self.pixels += 1;
+        if let Some(color) = color {
+            for (sum, value) in self.color.iter_mut().zip(color) {
+                *sum += weight * value;
+            }
+            self.color_weight += weight;
+        }
+    }
+
+    #[inline]
+    fn merge(&mut self, other: &Cell) {
+        for axis in 0..3 {
+            self.offset[axis] += other.offset[axis];
+            self.normal[axis] += other.normal[axis];
+            self.color[axis] += other.color[axis];
+        }
+        self.weight += other.weight;
+        self.color_weight += other.color_weight;
+        self.pixels += other.pixels;
+    }
 }
 
 impl std::fmt::Debug for Cell {
@@ -124,22 +190,33 @@ impl CloudBuilder {
     ///
     /// On an error the cloud is as it was, except when the memory limit is hit.
     pub fn add(&mut self, view: &View<'_>) -> Result<usize, Error> {
+        let points = self.points(view)?;
+        self.add_points(&points, &view.base_from_color)
+    }
+
+    /// What this builder would add of a view, for several builders with the same options but different poses.
+    pub fn points(&mut self, view: &View<'_>) -> Result<ViewPoints, Error> {
         view.check()?;
         let camera = &view.depth_camera.camera;
         let rays = match self.rays.take() {
             Some(rays) if rays.are_of(camera) => rays,
             _ => Rays::new(camera),
         };
-        let rows = self.samples(view, &rays);
+        let points = ViewPoints::new(view, &rays, &self.options);
         self.rays = Some(rays);
-        let added = rows.iter().map(Vec::len).sum();
+        Ok(points)
+    }
+
+    /// Adds the points of a view taken from a pose of the colour camera and returns how many they were.
+    pub fn add_points(&mut self, points: &ViewPoints, base_from_color: &Isometry3) -> Result<usize, Error> {
+        check_isometry("base_from_color", base_from_color)?;
         match self.options.voxel_m {
-            Some(voxel_m) => self.add_to_voxels(&rows, voxel_m)?,
-            None => self.add_raw(&rows),
+            Some(voxel_m) => self.add_to_voxels(points, base_from_color, voxel_m)?,
+            None => self.add_raw(points, base_from_color),
         }
         self.views += 1;
         self.check_memory()?;
-        Ok(added)
+        Ok(points.len())
     }
 
     /// Number of points so far.
@@ -154,104 +231,46 @@ impl CloudBuilder {
 
     /// The cloud, ordered by voxel (or by image and pixel when nothing was merged).
     pub fn finish(self) -> PointCloud {
-        let Some(voxel_m) = self.options.voxel_m else {
-            return self.raw;
+        let CloudBuilder { options, shards, raw, .. } = self;
+        let Some(voxel_m) = options.voxel_m else {
+            return raw;
         };
-        let mut cells: Vec<(VoxelKey, Cell)> = self.shards.into_iter().flatten().collect();
-        cells.par_sort_unstable_by_key(|(key, _)| *key);
-        let mut cloud = PointCloud::default();
-        for (key, cell) in cells {
-            if cell.pixels < self.options.min_pixels_per_voxel {
-                continue;
-            }
-            let color = if cell.color_weight > 0.0 {
-                cell.color.map(|sum| sum / cell.color_weight)
-            } else if self.options.uncolored == UncoloredPoints::Grey {
-                [NEUTRAL_GREY; 3]
-            } else {
-                continue;
-            };
-            let corner = key.index();
-            cloud.points.push(std::array::from_fn(|axis| {
-                (f64::from(corner[axis]) * voxel_m + f64::from(cell.offset[axis] / cell.weight)) as f32
-            }));
-            cloud.colors.push(color.map(to_byte));
-            if self.options.normals == PointNormals::Fitted {
-                cloud.normals.push(unit_or_up(cell.normal));
-            }
+        let mut points: Vec<(VoxelKey, FinishedPoint)> = Vec::with_capacity(shards.iter().map(VoxelMap::len).sum());
+        // Shard by shard, so that the sums and the points are never both there as a whole.
+        for shard in shards {
+            points
+                .extend(shard.into_iter().filter_map(|(key, cell)| Some((key, cell.finish(key, voxel_m, &options)?))));
+        }
+        points.par_sort_unstable_by_key(|(key, _)| *key);
+        let mut cloud = PointCloud {
+            points: points.par_iter().map(|(_, point)| point.point).collect(),
+            colors: points.par_iter().map(|(_, point)| point.color).collect(),
+            normals: Vec::new(),
+        };
+        if options.normals == PointNormals::Fitted {
+            cloud.normals = points.into_par_iter().map(|(_, point)| point.normal).collect();
         }
         cloud
     }
 
-    fn samples(&self, view: &View<'_>, rays: &Rays) -> Vec<Vec<Sample>> {
-        let filter = &self.options.filter;
-        let depth = view.believed_depth(filter);
-        let width = view.depth.width().max(1) as usize;
-        let patches = match self.options.normals {
-            PointNormals::Fitted => surface_patches(&depth, rays, filter, NormalWindow { radius: 4, stride: 2 }),
-            PointNormals::None => Vec::new(),
-        };
-        let base_from_depth = view.base_from_depth().rotation.cast::<f32>();
-        // Weights are relative to that at 1 m: inverse variance of the depth noise.
-        let sigma_at_1m = filter.noise.sigma(1.0);
-        depth
-            .par_chunks(width)
-            .enumerate()
-            .map(|(y, row)| {
-                let mut samples = Vec::new();
-                for (x, &z) in row.iter().enumerate().filter(|(_, z)| **z > 0.0) {
-                    let point_in_color = view.depth_camera.color_from_depth * rays.point(y * width + x, z);
-                    let color = view.color_of(&point_in_color);
-                    if color.is_none() && self.options.uncolored == UncoloredPoints::Drop {
-                        continue;
-                    }
-                    let weight = (sigma_at_1m / filter.noise.sigma(f64::from(z))).powi(2) as f32;
-                    let point_in_base = (view.base_from_color * point_in_color).coords.into();
-                    let normal_in_base = patches.get(y * width + x).map_or([0.0; 3], |patch| {
-                        let towards_camera = -rays.direction(y * width + x).normalize();
-                        let fitted = patch.normal.norm_squared() > 0.0;
-                        let normal = if fitted { patch.normal } else { towards_camera };
-                        (base_from_depth * normal).into()
-                    });
-                    samples.push(Sample { point_in_base, weight, normal_in_base, color });
-                }
-                samples
-            })
-            .collect()
-    }
-
-    fn add_raw(&mut self, rows: &[Vec<Sample>]) {
-        for sample in rows.iter().flatten() {
-            self.raw.points.push(sample.point_in_base.map(|value| value as f32));
-            self.raw.colors.push(sample.color.unwrap_or([NEUTRAL_GREY; 3]).map(to_byte));
+    fn add_raw(&mut self, points: &ViewPoints, base_from_color: &Isometry3) {
+        let rotation = base_from_color.rotation.cast::<f32>();
+        for point in points.bands.iter().flatten() {
+            let point_in_base = base_from_color * Point3::from(point.point_in_color.map(f64::from));
+            self.raw.points.push(point_in_base.coords.cast::<f32>().into());
+            self.raw.colors.push(point.color.unwrap_or([NEUTRAL_GREY; 3]).map(to_byte));
             if self.options.normals == PointNormals::Fitted {
-                self.raw.normals.push(sample.normal_in_base);
+                self.raw.normals.push((rotation * Vector3::from(point.normal_in_color)).into());
             }
         }
     }
 
-    fn add_to_voxels(&mut self, rows: &[Vec<Sample>], voxel_m: f64) -> Result<(), Error> {
-        let mut dealt: Vec<Vec<(VoxelKey, &Sample)>> = vec![Vec::new(); 1 << SHARD_BITS];
-        for sample in rows.iter().flatten() {
-            let key = VoxelKey::of_point(sample.point_in_base, 1.0 / voxel_m)?;
-            dealt[key.shard(SHARD_BITS)].push((key, sample));
-        }
-        self.shards.par_iter_mut().zip(dealt).for_each(|(shard, samples)| {
-            for (key, sample) in samples {
-                let cell = shard.entry(key).or_default();
-                for (axis, corner) in key.index().into_iter().enumerate() {
-                    let offset = sample.point_in_base[axis] - f64::from(corner) * voxel_m;
-                    cell.offset[axis] += sample.weight * offset as f32;
-                    cell.normal[axis] += sample.weight * sample.normal_in_base[axis];
-                }
-                cell.weight += sample.weight;
-                cell.pixels += 1;
-                if let Some(color) = sample.color {
-                    for (sum, value) in cell.color.iter_mut().zip(color) {
-                        *sum += sample.weight * value;
-                    }
-                    cell.color_weight += sample.weight;
-                }
+    fn add_to_voxels(&mut self, points: &ViewPoints, base_from_color: &Isometry3, voxel_m: f64) -> Result<(), Error> {
+        let dealt: Vec<Vec<Vec<(VoxelKey, Cell)>>> =
+            points.bands.par_iter().map(|band| deal(band, base_from_color, voxel_m)).collect::<Result<_, Error>>()?;
+        self.shards.par_iter_mut().enumerate().for_each(|(shard, cells)| {
+            for (key, part) in dealt.iter().flat_map(|band| &band[shard]) {
+                cells.entry(*key).or_default().merge(part);
             }
         });
         Ok(())
@@ -271,6 +290,36 @@ impl CloudBuilder {
         }
         Ok(())
     }
+}
+
+/// Puts the points of some rows into cells, by shard; neighbours in one voxel share a cell at once.
+fn deal(band: &[ViewPoint], base_from_color: &Isometry3, voxel_m: f64) -> Result<Vec<Vec<(VoxelKey, Cell)>>, Error> {
+    let rotation = *base_from_color.rotation.to_rotation_matrix().matrix();
+    let (rotation_f32, translation) = (rotation.cast::<f32>(), base_from_color.translation.vector);
+    let inverse_voxel = 1.0 / voxel_m;
+    let mut dealt: Vec<Vec<(VoxelKey, Cell)>> = vec![Vec::with_capacity(band.len() >> SHARD_BITS); 1 << SHARD_BITS];
+    let mut open: Option<(VoxelKey, Cell)> = None;
+    for point in band {
+        let in_base = rotation * Vector3::from(point.point_in_color).cast::<f64>() + translation;
+        let key = VoxelKey::of_point(in_base.into(), inverse_voxel)?;
+        let (open_key, cell) = match &mut open {
+            Some(open) if open.0 == key => open,
+            other => {
+                if let Some((key, cell)) = other.take() {
+                    dealt[key.shard(SHARD_BITS)].push((key, cell));
+                }
+                other.insert((key, Cell::default()))
+            }
+        };
+        let corner = open_key.index();
+        let offset = std::array::from_fn(|axis| (in_base[axis] - f64::from(corner[axis]) * voxel_m) as f32);
+        let normal = (rotation_f32 * Vector3::from(point.normal_in_color)).into();
+        cell.add(offset, normal, point.weight, point.color);
+    }
+    if let Some((key, cell)) = open {
+        dealt[key.shard(SHARD_BITS)].push((key, cell));
+    }
+    Ok(dealt)
 }
 
 /// Normals of opposite sides of a thin thing may cancel out; any unit vector is better than none then.

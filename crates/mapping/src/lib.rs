@@ -12,8 +12,11 @@
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`], [`write_stl`]
 //!   and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
 
+mod believed;
 mod cloud;
 mod cloud_builder;
+mod color_lookup;
+mod depth_filter;
 mod error;
 mod formats;
 mod nearest;
@@ -22,14 +25,17 @@ mod occupancy;
 mod ply;
 mod projector;
 mod quality;
+mod rays;
 mod render;
 mod surface;
 mod tsdf;
 mod view;
+mod view_points;
 mod voxel;
 
 pub use cloud::{Model, PointCloud, TriangleMesh};
-pub use cloud_builder::{CloudBuilder, CloudOptions, PointNormals, UncoloredPoints};
+pub use cloud_builder::{CloudBuilder, CloudOptions, PointDepths, PointNormals, UncoloredPoints};
+pub use depth_filter::{DepthFilter, DepthNoise};
 pub use error::Error;
 pub use formats::{write_glb, write_obj, write_pcd, write_stl};
 pub use nearest::SurfaceIndex;
@@ -42,4 +48,5 @@ pub use quality::{
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
 pub use surface::{SurfaceOptions, decimate, remove_small_clusters, vertex_normals};
 pub use tsdf::{Integration, SpaceCarving, Tsdf, TsdfOptions};
-pub use view::{DepthFilter, DepthNoise, View};
+pub use view::View;
+pub use view_points::ViewPoints;

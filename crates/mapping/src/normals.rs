@@ -4,15 +4,20 @@
 //! is linear over the image, and under noise `sigma = k z^2` its standard deviation is the same everywhere. So the
 //! normal is the least-squares gradient of inverse depth over a window, without any bias from a steep view.
 //! The same fit gives a depth with a fraction of the noise, wherever its residuals look like noise.
+//!
+//! Eight pixels of a row are fitted at a time, with their sums in registers.
 
 use crate::DepthFilter;
-use crate::view::Rays;
+use crate::rays::Rays;
 use multiversion::multiversion;
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use wide::f32x8;
 
 /// Surroundings whose variance about the plane exceeds that of the noise by this factor are not flat.
 const MOST_BENT: f32 = 2.0;
+/// Pixels that are fitted together.
+const LANES: usize = 8;
 
 /// The window over which inverse depth is fitted.
 #[derive(Debug, Clone, Copy)]
@@ -34,161 +39,180 @@ pub(crate) struct SurfacePatch {
     pub(crate) depth: f32,
 }
 
-/// Sums over a window for one row of pixels, one entry a pixel; `u`, `v` are pixels from the centre, `d` the difference
-/// in inverse depth.
-struct Sums {
-    count: Vec<f32>,
-    u: Vec<f32>,
-    v: Vec<f32>,
-    d: Vec<f32>,
-    uu: Vec<f32>,
-    uv: Vec<f32>,
-    vv: Vec<f32>,
-    ud: Vec<f32>,
-    vd: Vec<f32>,
-    dd: Vec<f32>,
+/// The patches of a row of pixels, quantity by quantity; longer than the row by what fills the last eight.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PatchRow {
+    /// x, y, z of the normals.
+    pub(crate) normal: [Vec<f32>; 3],
+    /// Depths of the planes.
+    pub(crate) depth: Vec<f32>,
 }
 
-impl Sums {
-    fn new(width: usize) -> Self {
-        let zeros = || vec![0.0; width];
-        Sums {
-            count: zeros(),
-            u: zeros(),
-            v: zeros(),
-            d: zeros(),
-            uu: zeros(),
-            uv: zeros(),
-            vv: zeros(),
-            ud: zeros(),
-            vd: zeros(),
-            dd: zeros(),
-        }
-    }
-
-    /// Slopes of inverse depth along u and v, its difference at the centre, and the variance of what remains; `None`
-    /// where the neighbours do not span a plane.
-    fn fit(&self, x: usize) -> Option<(f32, f32, f32, f32)> {
-        let n = self.count[x];
-        if n < 5.0 {
-            return None;
-        }
-        let (su, sv, sd) = (self.u[x], self.v[x], self.d[x]);
-        let (cuu, cuv, cvv) = (self.uu[x] - su * su / n, self.uv[x] - su * sv / n, self.vv[x] - sv * sv / n);
-        let (cud, cvd) = (self.ud[x] - su * sd / n, self.vd[x] - sv * sd / n);
-        let determinant = cuu * cvv - cuv * cuv;
-        if determinant <= 1e-3 * cuu * cvv || cuu <= 0.0 || cvv <= 0.0 {
-            return None;
-        }
-        let by_u = (cud * cvv - cvd * cuv) / determinant;
-        let by_v = (cvd * cuu - cud * cuv) / determinant;
-        let at_centre = (sd - by_u * su - by_v * sv) / n;
-        let rest = (self.dd[x] - sd * sd / n - by_u * cud - by_v * cvd).max(0.0) / (n - 3.0);
-        Some((by_u, by_v, at_centre, rest))
+impl PatchRow {
+    /// The patch of a pixel.
+    pub(crate) fn at(&self, x: usize) -> SurfacePatch {
+        let [nx, ny, nz] = &self.normal;
+        SurfacePatch { normal: Vector3::new(nx[x], ny[x], nz[x]), depth: self.depth[x] }
     }
 }
 
-/// Adds the neighbour `(u, v)` of the pixels `from..`: `here` and `there` are inverse depths of the pixels and of their
-/// neighbours, and a neighbour counts that differs by no more than `max(|u|, |v|)` tolerances.
+/// One pixel of the window.
+struct Neighbour {
+    /// How far it stands behind the centre in the padded image.
+    step: isize,
+    u: f32,
+    v: f32,
+}
+
+/// Fits planes to a depth image, row by row.
+pub(crate) struct PatchFitter<'a> {
+    depth: &'a [f32],
+    rays: &'a Rays,
+    filter: &'a DepthFilter,
+    neighbours: Vec<Neighbour>,
+    /// Inverse depths with a border as wide as the window on all sides; infinite where there is none.
+    inverse: Vec<f32>,
+    stride: usize,
+    margin: usize,
+}
+
+impl<'a> PatchFitter<'a> {
+    /// Of an image whose size is that of the rays.
+    pub(crate) fn new(depth: &'a [f32], rays: &'a Rays, filter: &'a DepthFilter, window: NormalWindow) -> Self {
+        let width = rays.width();
+        let height = depth.len() / width.max(1);
+        let margin = window.radius;
+        let stride = width.next_multiple_of(LANES) + 2 * margin;
+        let mut inverse = vec![f32::INFINITY; stride * (height + 2 * margin)];
+        let rows = &mut inverse[stride * margin..stride * (height + margin)];
+        rows.par_chunks_mut(stride).zip(depth.par_chunks(width.max(1))).for_each(|(padded, row)| {
+            for (inverse, z) in padded[margin..].iter_mut().zip(row) {
+                *inverse = 1.0 / z;
+            }
+        });
+        let offsets = || (-(window.radius as isize)..=window.radius as isize).step_by(window.stride.max(1));
+        let neighbours = offsets()
+            .flat_map(|v| offsets().map(move |u| (u, v)))
+            // Every second one, like the black fields of a chess board: half the work, the same reach. The centre
+            // differs from itself by nothing.
+            .filter(|&(u, v)| (u + v) / window.stride.max(1) as isize % 2 == 0 && (u, v) != (0, 0))
+            .map(|(u, v)| Neighbour { step: v * stride as isize + u, u: u as f32, v: v as f32 })
+            .collect();
+        PatchFitter { depth, rays, filter, neighbours, inverse, stride, margin }
+    }
+
+    /// Fits the planes of a row of pixels.
+    pub(crate) fn row(&self, y: usize, out: &mut PatchRow) {
+        let width = self.rays.width();
+        let padded = width.next_multiple_of(LANES);
+        for plane in out.normal.iter_mut().chain([&mut out.depth]) {
+            plane.resize(padded, 0.0);
+        }
+        let own = &self.depth[y * width..(y + 1) * width];
+        out.depth[..width].copy_from_slice(own);
+        for at in (0..padded).step_by(LANES) {
+            if out.depth[at..at + LANES].iter().all(|z| *z <= 0.0) {
+                out.normal.iter_mut().for_each(|plane| plane[at..at + LANES].fill(0.0));
+            } else {
+                fit_eight(self, y, at, out);
+            }
+        }
+    }
+}
+
+/// Eight values from a place on; zeros beyond the end.
+#[inline(always)]
+fn load(row: &[f32], at: usize) -> f32x8 {
+    let mut lanes = [0.0; LANES];
+    match row.get(at..at + LANES) {
+        Some(full) => lanes.copy_from_slice(full),
+        None => lanes[..row.len() - at].copy_from_slice(&row[at..]),
+    }
+    f32x8::from(lanes)
+}
+
+/// Fits the planes of eight pixels; `u`, `v` are pixels from the centre, `d` the difference in inverse depth.
 #[multiversion(targets("x86_64+avx2"))]
-fn add_neighbours(sums: &mut Sums, from: usize, (u, v): (f32, f32), here: &[f32], there: &[f32], tolerance: &[f32]) {
-    let end = from + here.len();
-    let reach = u.abs().max(v.abs());
-    let (uu, uv, vv) = (u * u, u * v, v * v);
-    // Equal lengths, known to the compiler, let it work on several pixels at a time.
-    let length = here.len();
-    let (there, tolerance) = (&there[..length], &tolerance[..length]);
-    let (count, sum_u, sum_v) = (&mut sums.count[from..end], &mut sums.u[from..end], &mut sums.v[from..end]);
-    let (sum_uu, sum_uv, sum_vv) = (&mut sums.uu[from..end], &mut sums.uv[from..end], &mut sums.vv[from..end]);
-    let (sum_d, sum_dd) = (&mut sums.d[from..end], &mut sums.dd[from..end]);
-    let (sum_ud, sum_vd) = (&mut sums.ud[from..end], &mut sums.vd[from..end]);
-    for x in 0..length {
+fn fit_eight(fitter: &PatchFitter<'_>, y: usize, at: usize, out: &mut PatchRow) {
+    let zero = f32x8::splat(0.0);
+    let one = f32x8::splat(1.0);
+    let (share, floor, quadratic) = fitter.filter.step_coefficients();
+    let z = load(&out.depth, at);
+    let centre = (y + fitter.margin) * fitter.stride + fitter.margin + at;
+    let here = load(&fitter.inverse, centre);
+    // Two pixels apart the depth may differ by two tolerances.
+    let tolerance = (z * share + floor + z * z * quadratic) * here * here;
+    let (mut count, mut su, mut sv, mut sd) = (one, zero, zero, zero);
+    let (mut suu, mut suv, mut svv) = (zero, zero, zero);
+    let (mut sud, mut svd, mut sdd) = (zero, zero, zero);
+    for &Neighbour { step, u, v } in &fitter.neighbours {
         // Where there is no depth the inverse is infinite or the difference not a number: it does not count.
-        let difference = there[x] - here[x];
-        let counts = difference.abs() <= tolerance[x] * reach;
-        let one = if counts { 1.0 } else { 0.0 };
-        let d = if counts { difference } else { 0.0 };
-        count[x] += one;
-        sum_u[x] += u * one;
-        sum_v[x] += v * one;
-        sum_uu[x] += uu * one;
-        sum_uv[x] += uv * one;
-        sum_vv[x] += vv * one;
-        sum_d[x] += d;
-        sum_ud[x] += u * d;
-        sum_vd[x] += v * d;
-        sum_dd[x] += d * d;
+        let difference = load(&fitter.inverse, centre.wrapping_add_signed(step)) - here;
+        let counts = difference.abs().simd_le(tolerance * u.abs().max(v.abs()));
+        let one = counts & one;
+        let d = counts & difference;
+        let (wu, wv) = (one * u, one * v);
+        count += one;
+        su += wu;
+        sv += wv;
+        sd += d;
+        suu += wu * u;
+        suv += wu * v;
+        svv += wv * v;
+        sud += d * u;
+        svd += d * v;
+        sdd += d * d;
     }
+    let inverse_count = one / count;
+    let cuu = suu - su * su * inverse_count;
+    let cuv = suv - su * sv * inverse_count;
+    let cvv = svv - sv * sv * inverse_count;
+    let (cud, cvd) = (sud - su * sd * inverse_count, svd - sv * sd * inverse_count);
+    let determinant = cuu * cvv - cuv * cuv;
+    let spans = count.simd_ge(f32x8::splat(5.0))
+        & cuu.simd_gt(zero)
+        & cvv.simd_gt(zero)
+        & determinant.simd_gt(cuu * cvv * 1e-3)
+        & z.simd_gt(zero);
+    let inverse_determinant = one / determinant;
+    let by_u = (cud * cvv - cvd * cuv) * inverse_determinant;
+    let by_v = (cvd * cuu - cud * cuv) * inverse_determinant;
+    let at_centre = (sd - by_u * su - by_v * sv) * inverse_count;
+    let rest = (sdd - sd * sd * inverse_count - by_u * cud - by_v * cvd).max(zero) / (count - 3.0);
+    // Per pixel to per unit of the normalised image; the distortion's local scale, within a few percent of 1 in usual
+    // cameras, is left out.
+    let (pitch_x, pitch_y) = fitter.rays.pixel_pitch();
+    let (ray_x, ray_y) = fitter.rays.row(y);
+    let (a, b) = (by_u * (1.0 / pitch_x), by_v * (1.0 / pitch_y));
+    let fitted = here + at_centre;
+    let c = fitted - a * load(ray_x, at) - b * load(ray_y, at);
+    let squared = a * a + b * b + c * c;
+    let good = spans & squared.simd_gt(zero) & squared.simd_lt(f32x8::splat(f32::MAX));
+    // n . X = c with c > 0 points away from the camera.
+    let scale = -one / squared.sqrt();
+    for (plane, value) in out.normal.iter_mut().zip([a, b, c]) {
+        plane[at..at + LANES].copy_from_slice(&(good & (value * scale)).to_array());
+    }
+    let noise = &fitter.filter.noise;
+    let sigma = (z * z * noise.quadratic_per_m as f32 + noise.floor_m as f32) * here * here;
+    let flat = good & rest.simd_le(sigma * sigma * MOST_BENT) & fitted.simd_gt(zero);
+    out.depth[at..at + LANES].copy_from_slice(&flat.select(one / fitted, z).to_array());
 }
 
-/// Fits a plane to the surroundings of every pixel; row-major.
+/// Fits a plane to the surroundings of every pixel with a depth; row-major.
 pub(crate) fn surface_patches(
     depth: &[f32],
     rays: &Rays,
     filter: &DepthFilter,
     window: NormalWindow,
 ) -> Vec<SurfacePatch> {
-    let width = rays.width();
-    if width == 0 {
-        return Vec::new();
-    }
-    let height = depth.len() / width;
-    let inverse: Vec<f32> = depth.iter().map(|z| 1.0 / z).collect();
+    let fitter = PatchFitter::new(depth, rays, filter, window);
+    let width = rays.width().max(1);
     let mut patches = vec![SurfacePatch { normal: Vector3::zeros(), depth: 0.0 }; depth.len()];
-    let offsets: Vec<isize> = (-(window.radius as isize)..=window.radius as isize).step_by(window.stride).collect();
-    let (floor, quadratic) = (filter.noise.floor_m as f32, filter.noise.quadratic_per_m as f32);
-    patches.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        let own = &depth[y * width..(y + 1) * width];
-        if own.iter().all(|z| *z <= 0.0) {
-            return;
-        }
-        let here = &inverse[y * width..(y + 1) * width];
-        let tolerance: Vec<f32> = own.iter().map(|&z| filter.step_tolerance(z) / (z * z)).collect();
-        // Nothing to do beyond the first and the last pixel with a depth.
-        let begin = own.iter().position(|z| *z > 0.0).unwrap_or(0);
-        let finish = own.iter().rposition(|z| *z > 0.0).map_or(0, |last| last + 1);
-        let mut sums = Sums::new(width);
-        for &v in &offsets {
-            let Some(other) = y.checked_add_signed(v).filter(|other| *other < height) else { continue };
-            let there = &inverse[other * width..(other + 1) * width];
-            for &u in &offsets {
-                // Every second neighbour, like the black fields of a chess board: half the work, the same reach.
-                if (u + v) / window.stride as isize % 2 != 0 {
-                    continue;
-                }
-                let first = begin.max((-u).max(0) as usize);
-                let end = finish.min((width as isize - u).clamp(0, width as isize) as usize);
-                if first < end {
-                    let shifted = &there[(first as isize + u) as usize..];
-                    let (here, tolerance) = (&here[first..end], &tolerance[first..end]);
-                    add_neighbours(&mut sums, first, (u as f32, v as f32), here, shifted, tolerance);
-                }
-            }
-        }
+    patches.par_chunks_mut(width).enumerate().for_each_init(PatchRow::default, |fitted, (y, row)| {
+        fitter.row(y, fitted);
         for (x, patch) in row.iter_mut().enumerate() {
-            let z = own[x];
-            if z <= 0.0 {
-                continue;
-            }
-            patch.depth = z;
-            let Some((by_u, by_v, at_centre, rest)) = sums.fit(x) else { continue };
-            // Per pixel to per unit of the normalised image; the distortion's local scale, within a few percent of
-            // 1 in usual cameras, is left out.
-            let (scale_x, scale_y) = rays.pixel_pitch();
-            let (a, b) = (by_u / scale_x, by_v / scale_y);
-            let ray = rays.direction(y * width + x);
-            let fitted = here[x] + at_centre;
-            let direction = Vector3::new(a, b, fitted - a * ray.x - b * ray.y);
-            let unit = direction / direction.norm();
-            if !unit.iter().all(|value| value.is_finite()) {
-                continue;
-            }
-            // n . X = c with c > 0 points away from the camera.
-            patch.normal = -unit;
-            let noise = (floor + quadratic * z * z) / (z * z);
-            if rest <= MOST_BENT * noise * noise {
-                patch.depth = 1.0 / fitted;
-            }
+            *patch = fitted.at(x);
         }
     });
     patches

@@ -12,7 +12,7 @@ mod visible;
 
 pub use esdf::Esdf;
 
-use crate::view::Rays;
+use crate::rays::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
 use serde::{Deserialize, Serialize};

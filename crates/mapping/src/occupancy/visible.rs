@@ -2,7 +2,7 @@
 
 use super::{CELLS, EDGE, INDEX_LIMIT, Occupancy, OccupancyOptions, place};
 use crate::projector::Projector;
-use crate::view::Rays;
+use crate::rays::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -209,7 +209,7 @@ fn hits(
     options: &OccupancyOptions,
     base_from_depth: &Isometry3<f64>,
 ) -> Result<VoxelMap<Vec<u16>>, Error> {
-    let depth = view.believed_depth(&options.filter);
+    let depth = view.believed_depth_along(&options.filter, rays);
     let mut hits: VoxelMap<Vec<u16>> = VoxelMap::default();
     let limit_m = options.resolution_m * f64::from(INDEX_LIMIT);
     for (index, &z) in depth.iter().enumerate().filter(|(_, z)| **z > 0.0) {

@@ -6,7 +6,7 @@
 
 use super::quantile;
 use crate::normals::{NormalWindow, SurfacePatch, surface_patches};
-use crate::view::Rays;
+use crate::rays::Rays;
 use crate::{DepthFilter, Error, View};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -176,7 +176,7 @@ fn rays_of<'a>(kept: &'a mut Option<Rays>, view: &View<'_>) -> &'a Rays {
 
 /// Pixels on the grid that are believed, and where the pose puts them.
 fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<(usize, Point3)> {
-    let depth = view.believed_depth(&options.filter);
+    let depth = view.believed_depth_along(&options.filter, rays);
     let width = rays.width();
     let base_from_depth = view.base_from_depth();
     (0..depth.len() / width.max(1))
@@ -197,7 +197,7 @@ struct Target<'a> {
 
 impl<'a> Target<'a> {
     fn new(view: &'a View<'a>, rays: &'a Rays, options: &GapOptions) -> Self {
-        let depth = view.believed_depth(&options.filter);
+        let depth = view.believed_depth_along(&options.filter, rays);
         let window = NormalWindow { radius: 4, stride: 2 };
         let patches = surface_patches(&depth, rays, &options.filter, window);
         Target { view, patches, rays, gate_m: options.gate_m }

@@ -1,10 +1,10 @@
 //! Which blocks an image concerns: those around the surfaces it shows, which are allocated, and those that exist and
 //! that it sees to be free.
 
-use super::frame::{Frame, Pixel, TILE};
+use super::frame::{Frame, TILE};
 use super::{BLOCK_EDGE, Block, Tsdf, TsdfOptions};
 use crate::Error;
-use crate::view::Rays;
+use crate::rays::Rays;
 use crate::voxel::{INDEX_LIMIT, VoxelKey, VoxelMap};
 use multiversion::multiversion;
 use nalgebra::{Matrix3, Vector3};
@@ -24,7 +24,7 @@ const ROWS: usize = 16;
 
 /// What the rays of an image share on their way through the blocks.
 struct Search<'a> {
-    surface: &'a [Pixel],
+    depth: &'a [f32],
     stride: usize,
     rays: &'a Rays,
     rotation: Matrix3<f32>,
@@ -45,7 +45,7 @@ fn blocks_along_row(search: &Search<'_>, row: std::ops::Range<usize>, found: &mu
     let mut last = [[i32::MIN; 3]; MEMORY];
     let limit = INDEX_LIMIT as f32;
     for index in row.step_by(search.stride) {
-        let z = search.surface[index].depth;
+        let z = search.depth[index];
         if z <= 0.0 {
             continue;
         }
@@ -82,7 +82,7 @@ impl Frame {
         let stride = (block_px / RAYS_PER_BLOCK).clamp(1.0, WIDEST_STRIDE) as usize;
         let rotation = self.base_from_depth.rotation.cast::<f32>().to_rotation_matrix();
         let search = Search {
-            surface: &self.surface,
+            depth: &self.depth,
             stride,
             rays,
             rotation: *rotation.matrix(),

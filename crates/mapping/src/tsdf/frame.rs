@@ -2,10 +2,12 @@
 
 use super::TsdfOptions;
 use crate::View;
-use crate::normals::{NormalWindow, SurfacePatch, surface_patches};
+use crate::color_lookup::{ColorLookup, ColorPlaces};
+use crate::normals::{NormalWindow, PatchFitter, PatchRow};
 use crate::projector::Projector;
-use crate::view::Rays;
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use crate::rays::Rays;
+use multiversion::multiversion;
+use nalgebra::Isometry3;
 use rayon::prelude::*;
 use skclam_geometry::PinholeCamera;
 
@@ -14,23 +16,20 @@ pub(super) const TILE: usize = 16;
 /// A surface seen flatter than this (cosine) weighs no less.
 const LEAST_COSINE: f32 = 0.1;
 
-/// What a voxel needs to know of the pixel it is seen at; 32 bytes, one fetch.
+/// What a voxel needs to know of the pixel it is seen at, apart from its depth.
 #[derive(Clone, Copy)]
-#[repr(align(32))]
 pub(super) struct Pixel {
     /// Unit normal of the surface, towards the camera, in the depth camera's frame.
     pub(super) normal: [f32; 3],
     /// `normal . point` of the surface.
     pub(super) offset: f32,
-    /// z-depth, metres; 0 = nothing is known.
-    pub(super) depth: f32,
     /// Inverse variance relative to that at 1 m, times the cosine of the viewing angle.
     pub(super) weight: f32,
     /// Red, green, blue, and 1 if there is a colour.
     pub(super) color: [u8; 4],
 }
 
-const NOTHING: Pixel = Pixel { normal: [0.0; 3], offset: 0.0, depth: 0.0, weight: 0.0, color: [0; 4] };
+const NOTHING: Pixel = Pixel { normal: [0.0; 3], offset: 0.0, weight: 0.0, color: [0; 4] };
 
 /// An image ready to be fused.
 pub(super) struct Frame {
@@ -39,7 +38,7 @@ pub(super) struct Frame {
     pub(super) base_from_depth: Isometry3<f64>,
     /// Row-major, and one more at the end at which nothing is known, for voxels outside the image.
     pub(super) surface: Vec<Pixel>,
-    /// The depths of `surface` by themselves.
+    /// z-depths of the planes, metres; 0 = nothing is known. By themselves: most voxels ask for no more.
     pub(super) depth: Vec<f32>,
     /// Largest depth in each tile of 16 x 16 pixels, 0 where there is none.
     pub(super) farthest_in_tile: Vec<f32>,
@@ -53,37 +52,29 @@ pub(super) struct Frame {
 impl Frame {
     pub(super) fn new(view: &View<'_>, rays: &Rays, options: &TsdfOptions) -> Self {
         let camera = view.depth_camera.camera;
-        let depth = view.believed_depth(&options.filter);
+        let depth = view.believed_depth_along(&options.filter, rays);
         let width = camera.width.max(1) as usize;
-        let patches = surface_patches(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
-        let colors = Colors::new(view);
+        let fitter = PatchFitter::new(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
+        let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
         let noise = &options.filter.noise;
-        let (floor, quadratic) = (noise.floor_m as f32, noise.quadratic_per_m as f32);
-        let sigma_at_1m = floor + quadratic;
+        let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
         let mut surface = vec![NOTHING; depth.len() + 1];
-        surface[..depth.len()].par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-            for (x, pixel) in row.iter_mut().enumerate() {
-                let index = y * width + x;
-                let SurfacePatch { normal: fitted, depth: z } = patches[index];
-                if z <= 0.0 {
-                    continue;
+        let mut fitted_depth = vec![0f32; depth.len() + 1];
+        surface[..depth.len()]
+            .par_chunks_mut(width)
+            .zip(fitted_depth[..depth.len()].par_chunks_mut(width))
+            .enumerate()
+            .for_each_init(<(PatchRow, ColorPlaces)>::default, |(patches, places), (y, (row, depths))| {
+                fitter.row(y, patches);
+                depths.copy_from_slice(&patches.depth[..width]);
+                fill_row(patches, rays.row(y), noise, row);
+                if let Some((image, lookup)) = &lookup {
+                    lookup.find(rays, y, depths, places);
+                    for (x, pixel) in row.iter_mut().enumerate() {
+                        pixel.color = places.nearest_color(x, image);
+                    }
                 }
-                let ray = rays.direction(index);
-                let inverse_range = 1.0 / ray.norm();
-                // Without a normal the surface is taken to face the camera.
-                let normal = if fitted == Vector3::zeros() { -ray * inverse_range } else { fitted };
-                let along_ray = normal.dot(&ray);
-                let cosine = (-along_ray * inverse_range).max(LEAST_COSINE);
-                let relative_sigma = sigma_at_1m / (floor + quadratic * z * z);
-                *pixel = Pixel {
-                    normal: normal.into(),
-                    offset: along_ray * z,
-                    depth: z,
-                    weight: relative_sigma * relative_sigma * cosine,
-                    color: colors.as_ref().map_or([0; 4], |colors| colors.at(ray * z)),
-                };
-            }
-        });
+            });
         let tiles_x = width.div_ceil(TILE);
         let mut farthest_in_tile = vec![0f32; tiles_x * (depth.len() / width).div_ceil(TILE)];
         for (y, row) in depth.chunks(width).enumerate() {
@@ -96,7 +87,7 @@ impl Frame {
             camera,
             projector: Projector::new(&camera),
             base_from_depth: view.base_from_depth(),
-            depth: surface.iter().map(|pixel| pixel.depth).collect(),
+            depth: fitted_depth,
             surface,
             farthest: farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z)),
             farthest_in_tile,
@@ -106,33 +97,30 @@ impl Frame {
     }
 }
 
-/// Looks up the colour of points in the depth camera's frame: the nearest pixel, since a voxel takes the mean over many.
-struct Colors<'a> {
-    image: &'a image::RgbImage,
-    projector: Projector,
-    rotation: Matrix3<f32>,
-    translation: Vector3<f32>,
-}
-
-impl<'a> Colors<'a> {
-    fn new(view: &View<'a>) -> Option<Self> {
-        let color_from_depth = view.depth_camera.color_from_depth.cast::<f32>();
-        Some(Colors {
-            image: view.color?,
-            projector: Projector::new(view.color_camera),
-            rotation: *color_from_depth.rotation.to_rotation_matrix().matrix(),
-            translation: color_from_depth.translation.vector,
-        })
-    }
-
-    #[inline]
-    fn at(&self, point_in_depth: Vector3<f32>) -> [u8; 4] {
-        let point = self.rotation * point_in_depth + self.translation;
-        let (u, v) = self.projector.project(point.x, point.y, point.z);
-        if !self.projector.sees(point.z, u, v) {
-            return [0; 4];
-        }
-        let [r, g, b] = self.image.get_pixel(u as u32, v as u32).0;
-        [r, g, b, 1]
+/// Planes and weights of a row of pixels.
+#[multiversion(targets("x86_64+avx2"))]
+fn fill_row(patches: &PatchRow, (ray_x, ray_y): (&[f32], &[f32]), (floor, quadratic): (f32, f32), row: &mut [Pixel]) {
+    let length = row.len();
+    let (ray_x, ray_y, depth) = (&ray_x[..length], &ray_y[..length], &patches.depth[..length]);
+    let [nx, ny, nz] = patches.normal.each_ref().map(|plane| &plane[..length]);
+    let sigma_at_1m = floor + quadratic;
+    for x in 0..length {
+        let z = depth[x];
+        let (ray_x, ray_y) = (ray_x[x], ray_y[x]);
+        let inverse_range = 1.0 / (ray_x * ray_x + ray_y * ray_y + 1.0).sqrt();
+        // Without a normal the surface is taken to face the camera.
+        let fitted = (nx[x] != 0.0) | (ny[x] != 0.0) | (nz[x] != 0.0);
+        let nx = if fitted { nx[x] } else { -ray_x * inverse_range };
+        let ny = if fitted { ny[x] } else { -ray_y * inverse_range };
+        let nz = if fitted { nz[x] } else { -inverse_range };
+        let along_ray = nx * ray_x + ny * ray_y + nz;
+        let cosine = (-along_ray * inverse_range).max(LEAST_COSINE);
+        let relative_sigma = sigma_at_1m / (floor + quadratic * z * z);
+        row[x] = Pixel {
+            normal: [nx, ny, nz],
+            offset: along_ray * z,
+            weight: if z > 0.0 { relative_sigma * relative_sigma * cosine } else { 0.0 },
+            color: [0; 4],
+        };
     }
 }

@@ -21,7 +21,7 @@ mod integrate;
 
 pub(crate) use block::{BLOCK_EDGE, Block};
 
-use crate::view::Rays;
+use crate::rays::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
 use frame::Frame;
