@@ -39,8 +39,8 @@ pub use depth_filter::{DepthFilter, DepthNoise};
 pub use error::Error;
 pub use formats::{write_glb, write_obj, write_pcd, write_stl};
 pub use nearest::SurfaceIndex;
-pub use occupancy::{Esdf, Occupancy, OccupancyGrid, OccupancyOptions};
-pub use ply::{read_ply, write_ply};
+pub use occupancy::{Esdf, FreeBoundary, Occupancy, OccupancyGrid, OccupancyOptions};
+pub use ply::{read_ply, write_cloud_ply, write_ply};
 pub use quality::{
     DistanceSummary, GapOptions, GapSample, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
     score_surface, surface_gaps,

@@ -26,6 +26,15 @@ pub(crate) struct NormalWindow {
     pub(crate) radius: usize,
     /// Distance of the pixels that are used, pixels; divides `radius`.
     pub(crate) stride: usize,
+    /// Pixels of the camera between two pixels of the image at hand, which may be a thinned one.
+    pub(crate) thinning: usize,
+}
+
+impl NormalWindow {
+    /// The window of maps: nine pixels of the camera wide.
+    pub(crate) fn of_maps(thinning: usize) -> Self {
+        NormalWindow { radius: 4 / thinning, stride: (2 / thinning).max(1), thinning }
+    }
 }
 
 /// The plane of a pixel's surroundings.
@@ -62,6 +71,8 @@ struct Neighbour {
     step: isize,
     u: f32,
     v: f32,
+    /// Tolerances that its depth may differ by: one a pixel of the camera.
+    reach: f32,
 }
 
 /// Fits planes to a depth image, row by row.
@@ -96,7 +107,10 @@ impl<'a> PatchFitter<'a> {
             // Every second one, like the black fields of a chess board: half the work, the same reach. The centre
             // differs from itself by nothing.
             .filter(|&(u, v)| (u + v) / window.stride.max(1) as isize % 2 == 0 && (u, v) != (0, 0))
-            .map(|(u, v)| Neighbour { step: v * stride as isize + u, u: u as f32, v: v as f32 })
+            .map(|(u, v)| {
+                let reach = (u.abs().max(v.abs()) as usize * window.thinning) as f32;
+                Neighbour { step: v * stride as isize + u, u: u as f32, v: v as f32, reach }
+            })
             .collect();
         PatchFitter { depth, rays, filter, neighbours, inverse, stride, margin }
     }
@@ -140,15 +154,14 @@ fn fit_eight(fitter: &PatchFitter<'_>, y: usize, at: usize, out: &mut PatchRow) 
     let z = load(&out.depth, at);
     let centre = (y + fitter.margin) * fitter.stride + fitter.margin + at;
     let here = load(&fitter.inverse, centre);
-    // Two pixels apart the depth may differ by two tolerances.
     let tolerance = (z * share + floor + z * z * quadratic) * here * here;
     let (mut count, mut su, mut sv, mut sd) = (one, zero, zero, zero);
     let (mut suu, mut suv, mut svv) = (zero, zero, zero);
     let (mut sud, mut svd, mut sdd) = (zero, zero, zero);
-    for &Neighbour { step, u, v } in &fitter.neighbours {
+    for &Neighbour { step, u, v, reach } in &fitter.neighbours {
         // Where there is no depth the inverse is infinite or the difference not a number: it does not count.
         let difference = load(&fitter.inverse, centre.wrapping_add_signed(step)) - here;
-        let counts = difference.abs().simd_le(tolerance * u.abs().max(v.abs()));
+        let counts = difference.abs().simd_le(tolerance * reach);
         let one = counts & one;
         let d = counts & difference;
         let (wu, wv) = (one * u, one * v);
@@ -237,7 +250,7 @@ mod tests {
                 if z > 0.0 && z < 50.0 { z as f32 } else { 0.0 }
             }).collect();
             let filter = DepthFilter::default();
-            let window = NormalWindow { radius: 3, stride: 1 };
+            let window = NormalWindow { radius: 3, stride: 1, thinning: 1 };
             let patches = surface_patches(&depth, &rays, &filter, window);
             let centre = patches[18 * 48 + 24].normal.cast::<f64>();
             prop_assert!((centre - expected).norm() < 2e-2, "{centre} {expected}");
@@ -249,7 +262,7 @@ mod tests {
         let camera = PinholeCamera::from_hfov(9, 9, 1.0);
         let mut depth = vec![0.0; 81];
         depth[40] = 1.0;
-        let window = NormalWindow { radius: 2, stride: 2 };
+        let window = NormalWindow { radius: 2, stride: 2, thinning: 1 };
         let patches = surface_patches(&depth, &Rays::new(&camera), &DepthFilter::default(), window);
         assert!(patches.iter().all(|patch| patch.normal == Vector3::zeros()));
         assert_eq!(patches[40].depth, 1.0);
@@ -263,7 +276,7 @@ mod tests {
         let sigma = filter.noise.sigma(1.0) as f32;
         let noise = |i: usize| sigma * ((i as f32 * 12.9898).sin() * 43758.547).fract() * 1.7;
         let wall: Vec<f32> = (0..3600).map(|i| 1.0 + noise(i)).collect();
-        let window = NormalWindow { radius: 4, stride: 2 };
+        let window = NormalWindow::of_maps(1);
         let rms = |depths: &mut dyn Iterator<Item = f32>| {
             let squares: Vec<f32> = depths.map(|z| (z - 1.0).powi(2)).collect();
             (squares.iter().sum::<f32>() / squares.len() as f32).sqrt()

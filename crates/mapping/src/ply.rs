@@ -13,9 +13,19 @@ use std::io::{BufRead, Write};
 const MOST_ELEMENTS: usize = 200_000_000;
 
 /// Writes a cloud or a mesh as binary little-endian PLY. The writer should be buffered.
-pub fn write_ply(model: &Model, mut out: impl Write) -> Result<(), Error> {
+pub fn write_ply(model: &Model, out: impl Write) -> Result<(), Error> {
     model.check()?;
-    let (cloud, triangles) = (model.points(), model.triangles());
+    let faces = matches!(model, Model::Mesh(_)).then(|| model.triangles());
+    write_parts(model.points(), faces, out)
+}
+
+/// Writes a cloud as binary little-endian PLY. The writer should be buffered.
+pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> Result<(), Error> {
+    cloud.check()?;
+    write_parts(cloud, None, out)
+}
+
+fn write_parts(cloud: &PointCloud, faces: Option<&[[u32; 3]]>, mut out: impl Write) -> Result<(), Error> {
     writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment base frame, metres\nelement vertex {}", cloud.len())?;
     writeln!(out, "property float x\nproperty float y\nproperty float z")?;
     if !cloud.normals.is_empty() {
@@ -24,7 +34,7 @@ pub fn write_ply(model: &Model, mut out: impl Write) -> Result<(), Error> {
     if !cloud.colors.is_empty() {
         writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
     }
-    if let Model::Mesh(_) = model {
+    if let Some(triangles) = faces {
         writeln!(out, "element face {}\nproperty list uchar int vertex_indices", triangles.len())?;
     }
     writeln!(out, "end_header")?;
@@ -42,7 +52,7 @@ pub fn write_ply(model: &Model, mut out: impl Write) -> Result<(), Error> {
         }
         out.write_all(&record[..end])?;
     }
-    for triangle in triangles {
+    for triangle in faces.into_iter().flatten() {
         let mut record = [3u8; 13];
         for (corner, index) in triangle.iter().enumerate() {
             record[1 + 4 * corner..5 + 4 * corner].copy_from_slice(&index.to_le_bytes());

@@ -32,6 +32,11 @@ impl Rays {
         self.camera == *camera
     }
 
+    /// The camera they belong to.
+    pub(crate) fn camera(&self) -> &PinholeCamera {
+        &self.camera
+    }
+
     /// Columns of the image.
     pub(crate) fn width(&self) -> usize {
         self.camera.width as usize

@@ -38,7 +38,7 @@ impl ViewPoints {
         let depth = view.believed_depth_along(filter, rays);
         let width = rays.width().max(1);
         let wants_fit = options.normals == PointNormals::Fitted || options.depths == PointDepths::Fitted;
-        let fitter = wants_fit.then(|| PatchFitter::new(&depth, rays, filter, NormalWindow { radius: 4, stride: 2 }));
+        let fitter = wants_fit.then(|| PatchFitter::new(&depth, rays, filter, NormalWindow::of_maps(1)));
         let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
         let color_from_depth = view.depth_camera.color_from_depth.cast::<f32>();
         let rotation = *color_from_depth.rotation.to_rotation_matrix().matrix();

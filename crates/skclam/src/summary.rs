@@ -1,8 +1,8 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    CameraFixedSummary, Config, HeldOutSummary, MatchedPair, PoseSigmaSummary, SurfaceAgreement, TrackSummary,
-    VerdictGrade,
+    CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary, SurfaceAgreement,
+    TrackSummary, VerdictGrade,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -150,6 +150,8 @@ pub struct MapSummary {
     pub agreement_nominal: Option<SurfaceAgreement>,
     /// The same at the calibrated poses.
     pub agreement_calibrated: Option<SurfaceAgreement>,
+    /// How much was seen, at the calibrated poses.
+    pub coverage: Option<MapCoverage>,
 }
 
 /// How long a stage took.

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::output::StagedFolder;
-use skclam::pipeline::{self, Config};
+use skclam::pipeline::{self, Config, MapCoverage};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -189,6 +189,9 @@ pub fn show(summary: &Summary) {
     }
     if let Some(map) = &summary.map {
         println!("Map: {} points", map.points);
+        if let Some(coverage) = map.coverage {
+            println!("{}", coverage_line(&coverage));
+        }
     }
     let wall: f64 = summary.stages.iter().map(|stage| stage.wall_s).sum();
     let cpu: f64 = summary.stages.iter().map(|stage| stage.cpu_s).sum();
@@ -197,6 +200,20 @@ pub fn show(summary: &Summary) {
     if let Some(memory) = summary.peak_memory_mib {
         println!("Peak memory: {memory:.0} MiB");
     }
+}
+
+/// What was seen, in at most 80 columns.
+pub fn coverage_line(coverage: &MapCoverage) -> String {
+    let percent = |share: f64| format!("{:.0} %", share * 100.0);
+    let mut parts = Vec::new();
+    if let (Some(share), Some(reach_m)) = (coverage.observed_share_of_reach, coverage.reach_m) {
+        parts.push(format!("{} of the reach ({reach_m:.2} m)", percent(share)));
+    }
+    if let Some(share) = coverage.open_boundary_share {
+        parts.push(format!("border open {}", percent(share)));
+    }
+    parts.push(format!("no depth {}", percent(coverage.depth_without_value)));
+    format!("Seen: {}", parts.join("; "))
 }
 
 /// What is known of flange and camera.

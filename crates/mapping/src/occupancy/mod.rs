@@ -5,11 +5,13 @@
 //! that), by three standard deviations of the noise. It is hit if a believed pixel's point lies in it. What is
 //! neither stays as it was: behind surfaces, at the edges of things, and where the camera saw nothing.
 
+mod coverage;
 mod esdf;
 mod npz;
 mod octree;
 mod visible;
 
+pub use coverage::FreeBoundary;
 pub use esdf::Esdf;
 
 use crate::rays::Rays;
@@ -126,7 +128,7 @@ impl OccupancyGrid {
             Some(rays) if rays.are_of(camera) => rays,
             _ => Rays::new(camera),
         };
-        let pyramid = DepthPyramid::new(view, &self.options);
+        let pyramid = DepthPyramid::new(view, &rays, &self.options);
         let observed = pyramid.observed_blocks(view, &rays, &self.options);
         self.rays = Some(rays);
         let observed = observed?;
@@ -159,7 +161,11 @@ impl OccupancyGrid {
         let Ok(key) = VoxelKey::of_point(point_in_base, 1.0 / self.options.resolution_m) else {
             return Occupancy::Unknown;
         };
-        let index = key.index();
+        self.at_cell(key.index())
+    }
+
+    /// What is known of a cell.
+    pub(crate) fn at_cell(&self, index: [i32; 3]) -> Occupancy {
         let block = VoxelKey::new(index.map(|i| i.div_euclid(EDGE))).and_then(|key| self.blocks.get(&key));
         block.map_or(Occupancy::Unknown, |cells| state(cells[place(index.map(|i| i.rem_euclid(EDGE)))]))
     }

@@ -27,12 +27,12 @@ struct Level {
 }
 
 impl DepthPyramid {
-    pub(super) fn new(view: &View<'_>, options: &OccupancyOptions) -> Self {
+    pub(super) fn new(view: &View<'_>, rays: &Rays, options: &OccupancyOptions) -> Self {
         let camera = &view.depth_camera.camera;
         // Blended pixels at edges lie between two surfaces: they hide less than the nearer one does, so edges are not
         // removed here but only from the hits.
         let filter = DepthFilter { edge_margin_px: 0, ..options.filter };
-        let depth = view.believed_depth(&filter);
+        let depth = view.believed_depth_along(&filter, rays);
         let base = Level {
             width: camera.width as usize,
             height: camera.height as usize,
@@ -212,6 +212,8 @@ fn hits(
     let depth = view.believed_depth_along(&options.filter, rays);
     let mut hits: VoxelMap<Vec<u16>> = VoxelMap::default();
     let limit_m = options.resolution_m * f64::from(INDEX_LIMIT);
+    // Neighbouring pixels mostly lie in one cell.
+    let mut last = [i32::MIN; 3];
     for (index, &z) in depth.iter().enumerate().filter(|(_, z)| **z > 0.0) {
         let point = base_from_depth * rays.point(index, z);
         let distance_m = point.coords.amax();
@@ -219,6 +221,10 @@ fn hits(
             return Err(Error::OutOfRange { distance_m, limit_m, voxel_m: options.resolution_m });
         }
         let cell = VoxelKey::of_point(point.coords.into(), 1.0 / options.resolution_m)?.index();
+        if cell == last {
+            continue;
+        }
+        last = cell;
         let block = VoxelKey::new(cell.map(|index| index.div_euclid(EDGE))).expect("smaller than the cell's index");
         let list = hits.entry(block).or_default();
         let at = place(cell.map(|index| index.rem_euclid(EDGE))) as u16;

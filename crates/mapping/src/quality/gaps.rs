@@ -198,7 +198,7 @@ struct Target<'a> {
 impl<'a> Target<'a> {
     fn new(view: &'a View<'a>, rays: &'a Rays, options: &GapOptions) -> Self {
         let depth = view.believed_depth_along(&options.filter, rays);
-        let window = NormalWindow { radius: 4, stride: 2 };
+        let window = NormalWindow::of_maps(1);
         let patches = surface_patches(&depth, rays, &options.filter, window);
         Target { view, patches, rays, gate_m: options.gate_m }
     }

@@ -47,14 +47,22 @@ pub(super) struct Frame {
     pub(super) farthest: f32,
     /// Believed pixels.
     pub(super) pixels: usize,
+    /// Pixels of the camera between two of the frame.
+    pub(super) thinning: usize,
 }
 
 impl Frame {
-    pub(super) fn new(view: &View<'_>, rays: &Rays, options: &TsdfOptions) -> Self {
-        let camera = view.depth_camera.camera;
-        let depth = view.believed_depth_along(&options.filter, rays);
+    /// `cameras` are kept from image to image.
+    pub(super) fn new(view: &View<'_>, cameras: &mut FrameCameras, options: &TsdfOptions) -> Self {
+        let full = cameras.full(&view.depth_camera.camera);
+        let believed = view.believed_depth_along(&options.filter, full);
+        let thinning = thinning(&believed, &view.depth_camera.camera, options.voxel_m);
+        let pixels = believed.iter().filter(|z| **z > 0.0).count();
+        let depth = thinned(believed, full.width(), thinning);
+        let rays = cameras.thinned(&view.depth_camera.camera, thinning);
+        let camera = *rays.camera();
         let width = camera.width.max(1) as usize;
-        let fitter = PatchFitter::new(&depth, rays, &options.filter, NormalWindow { radius: 4, stride: 2 });
+        let fitter = PatchFitter::new(&depth, rays, &options.filter, NormalWindow::of_maps(thinning));
         let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
         let noise = &options.filter.noise;
         let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
@@ -92,9 +100,64 @@ impl Frame {
             farthest: farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z)),
             farthest_in_tile,
             tiles_x,
-            pixels: depth.iter().filter(|z| **z > 0.0).count(),
+            thinning,
+            pixels,
         }
     }
+}
+
+/// The camera's rays, and those of every second pixel.
+#[derive(Debug, Default)]
+pub(super) struct FrameCameras {
+    full: Option<Rays>,
+    thinned: Option<Rays>,
+}
+
+impl FrameCameras {
+    fn full(&mut self, camera: &PinholeCamera) -> &Rays {
+        keep(&mut self.full, *camera)
+    }
+
+    /// The rays of a frame that was made with these cameras.
+    pub(super) fn thinned(&mut self, camera: &PinholeCamera, thinning: usize) -> &Rays {
+        if thinning == 1 {
+            return self.full(camera);
+        }
+        let by = thinning as f64;
+        let mut thin = *camera;
+        (thin.width, thin.height) = (camera.width.div_ceil(thinning as u32), camera.height.div_ceil(thinning as u32));
+        (thin.fx, thin.fy, thin.cx, thin.cy) = (camera.fx / by, camera.fy / by, camera.cx / by, camera.cy / by);
+        keep(&mut self.thinned, thin)
+    }
+}
+
+fn keep(kept: &mut Option<Rays>, camera: PinholeCamera) -> &Rays {
+    if !kept.as_ref().is_some_and(|rays| rays.are_of(&camera)) {
+        *kept = None;
+    }
+    kept.get_or_insert_with(|| Rays::new(&camera))
+}
+
+/// Voxels as wide as this many pixels take their planes from every second pixel: a quarter of the work, and no voxel's
+/// pixel is farther away than a quarter of the voxel.
+const WIDE_VOXEL_PX: f32 = 4.0;
+
+/// Pixels between those that are fused, 1 or 2, by the width of a voxel at the mean depth.
+fn thinning(depth: &[f32], camera: &PinholeCamera, voxel_m: f64) -> usize {
+    // A sample of the pixels tells the mean well enough.
+    let seen = || depth.iter().step_by(13).filter(|z| **z > 0.0);
+    let mean = seen().sum::<f32>() / seen().count().max(1) as f32;
+    let width_px = voxel_m as f32 * camera.fx.min(camera.fy) as f32;
+    if width_px >= WIDE_VOXEL_PX * mean { 2 } else { 1 }
+}
+
+/// Every `thinning`-th pixel of every `thinning`-th row.
+fn thinned(depth: Vec<f32>, width: usize, thinning: usize) -> Vec<f32> {
+    if thinning == 1 {
+        return depth;
+    }
+    let rows = depth.chunks(width.max(1)).step_by(thinning);
+    rows.flat_map(|row| row.iter().copied().step_by(thinning)).collect()
 }
 
 /// Planes and weights of a row of pixels.

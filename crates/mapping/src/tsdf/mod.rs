@@ -21,10 +21,9 @@ mod integrate;
 
 pub(crate) use block::{BLOCK_EDGE, Block};
 
-use crate::rays::Rays;
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
-use frame::Frame;
+use frame::{Frame, FrameCameras};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::PinholeCamera;
 
@@ -117,7 +116,7 @@ pub struct Integration {
 #[derive(Debug)]
 pub struct Tsdf {
     options: TsdfOptions,
-    rays: Option<Rays>,
+    cameras: FrameCameras,
     /// Where a block stands in `blocks`.
     index: VoxelMap<u32>,
     keys: Vec<VoxelKey>,
@@ -133,7 +132,7 @@ impl Tsdf {
         options.check()?;
         Ok(Tsdf {
             options,
-            rays: None,
+            cameras: FrameCameras::default(),
             index: VoxelMap::default(),
             keys: Vec::new(),
             blocks: Vec::new(),
@@ -145,15 +144,9 @@ impl Tsdf {
     /// Fuses one view. On an error the map is as it was. A view without any believed pixel changes nothing.
     pub fn integrate(&mut self, view: &View<'_>) -> Result<Integration, Error> {
         view.check()?;
-        let camera = &view.depth_camera.camera;
-        let rays = match self.rays.take() {
-            Some(rays) if rays.are_of(camera) => rays,
-            _ => Rays::new(camera),
-        };
-        let frame = Frame::new(view, &rays, &self.options);
-        let touched = frame.touched_blocks(&rays, &self.options);
-        self.rays = Some(rays);
-        let touched = touched?;
+        let frame = Frame::new(view, &mut self.cameras, &self.options);
+        let rays = self.cameras.thinned(&view.depth_camera.camera, frame.thinning);
+        let touched = frame.touched_blocks(rays, &self.options)?;
         let blocks_new = self.allocate(&touched)?;
         let mut updated: Vec<u32> = touched.iter().map(|key| self.index[key]).collect();
         if self.options.carving == SpaceCarving::On && frame.pixels > 0 {

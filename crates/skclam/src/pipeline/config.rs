@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use skclam_calibration::{BundleOptions, Free, NelderMeadOptions, PairwiseOptions};
 use skclam_features::{AkazeOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions};
 use skclam_geometry::PinholeCamera;
-use skclam_mapping::CloudOptions;
+use skclam_mapping::{CloudOptions, PointDepths};
 
 /// Which estimator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -102,6 +102,7 @@ impl Config {
             tracks: None,
             refine: None,
             estimator: Estimator::NelderMead,
+            cloud: CloudOptions { depths: PointDepths::Measured, ..CloudOptions::default() },
             ..Config::default()
         }
     }

@@ -22,8 +22,7 @@ pub fn localize(dataset: &Dataset, rig: &Rig) -> Result<Vec<StampedPose>, RunErr
         .collect()
 }
 
-/// One map for each list of poses (one pose a posture), one after the other, so that only one of them is under
-/// construction at a time.
+/// One map for each list of poses (one pose a posture), in one pass over the images.
 ///
 /// `None` where the data set has no depth.
 pub fn build_maps<const N: usize>(
@@ -37,14 +36,18 @@ pub fn build_maps<const N: usize>(
     let Some(depth_camera) = rig.depth.filter(|_| dataset.records.iter().any(|record| record.depth.is_some())) else {
         return Ok(None);
     };
-    progress.begin(Stage::Map, (N * dataset.len()) as u64);
+    progress.begin(Stage::Map, dataset.len() as u64);
     let options = CloudOptions { voxel_m: Some(voxel_m(dataset, &depth_camera, config)?), ..config.cloud };
-    let mut clouds = Vec::with_capacity(N);
-    for poses in poses {
-        let mut builder = CloudBuilder::new(options)?;
-        for_each_view(dataset, poses, rig, found_mask, progress, |view| Ok(builder.add(view).map(drop)?))?;
-        clouds.push(builder.finish());
-    }
+    let mut builders = (0..N).map(|_| CloudBuilder::new(options)).collect::<Result<Vec<_>, _>>()?;
+    for_each_posture(dataset, rig, found_mask, progress, |posture, view| {
+        let Some((first, _)) = builders.split_first_mut() else { return Ok(()) };
+        let points = first.points(&View { base_from_color: Isometry3::identity(), ..*view })?;
+        for (builder, poses) in builders.iter_mut().zip(poses) {
+            builder.add_points(&points, &poses[posture])?;
+        }
+        Ok(())
+    })?;
+    let clouds: Vec<PointCloud> = builders.into_iter().map(CloudBuilder::finish).collect();
     Ok(clouds.try_into().ok())
 }
 
@@ -60,6 +63,19 @@ pub fn for_each_view(
     found_mask: Option<&GrayImage>,
     progress: &dyn Progress,
     mut take: impl FnMut(&View<'_>) -> Result<(), RunError>,
+) -> Result<(), RunError> {
+    for_each_posture(dataset, rig, found_mask, progress, |posture, view| {
+        take(&View { base_from_color: poses[posture], ..*view })
+    })
+}
+
+/// As [`for_each_view`], without poses (they are the identity) but with the position of the posture in the recording.
+pub fn for_each_posture(
+    dataset: &Dataset,
+    rig: &Rig,
+    found_mask: Option<&GrayImage>,
+    progress: &dyn Progress,
+    mut take: impl FnMut(usize, &View<'_>) -> Result<(), RunError>,
 ) -> Result<(), RunError> {
     let Some(depth_camera) = rig.depth else { return Ok(()) };
     let (color_mask, depth_mask) = (dataset.color_mask()?, dataset.depth_mask()?);
@@ -77,15 +93,16 @@ pub fn for_each_view(
             .collect::<Result<Vec<_>, RunError>>()?;
         for (&index, images) in chunk.iter().zip(&decoded) {
             if let Some((depth, color)) = images {
-                take(&View {
+                let view = View {
                     depth,
                     color: Some(color),
                     depth_camera: &depth_camera,
                     color_camera: &rig.color,
-                    base_from_color: poses[index],
+                    base_from_color: Isometry3::identity(),
                     depth_mask: depth_mask.as_ref(),
                     color_mask: color_mask.as_ref().or(found_mask),
-                })?;
+                };
+                take(index, &view)?;
             }
             progress.step();
         }

@@ -4,7 +4,7 @@ use super::gather::{Gathered, gather};
 use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
 use super::{
     Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, ScaleSource, Verdict,
-    build_maps, calibrate, hold_out, localize, pose_sigmas, surface_agreement,
+    build_maps, calibrate, hold_out, localize, map_coverage, pose_sigmas, surface_agreement,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -16,7 +16,7 @@ use image::GrayImage;
 use skclam_calibration::{Calibration, Parameter, Warning};
 use skclam_features::MaskOutcome;
 use skclam_geometry::Isometry3;
-use skclam_mapping::{Model, PointCloud, write_ply};
+use skclam_mapping::{PointCloud, write_cloud_ply};
 use skclam_rig::Rig;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -84,8 +84,10 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
                 after.median_mm, before.median_mm
             ));
         }
+        let mask = outcome.mask.as_ref();
+        let coverage = map_coverage(dataset, &calibrated_poses, &outcome.rig, mask, config.cloud.filter)?;
         outcome.summary.map =
-            Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated });
+            Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated, coverage });
     }
     Ok(outcome)
 }
@@ -244,7 +246,7 @@ pub fn write_cloud(staged: &StagedFolder, name: &str, cloud: &PointCloud) -> Res
     let path = staged.path(name)?;
     let io = |source| DatasetError::Io { path: path.clone(), source };
     let mut writer = BufWriter::new(File::create(&path).map_err(io)?);
-    write_ply(&Model::Cloud(cloud.clone()), &mut writer)?;
+    write_cloud_ply(cloud, &mut writer)?;
     writer.flush().map_err(io)?;
     Ok(())
 }
