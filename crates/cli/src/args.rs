@@ -142,6 +142,23 @@ pub struct RunArgs {
     /// command line come first.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub config: Option<PathBuf>,
+    /// The robot's own body.
+    #[command(flatten)]
+    pub self_filter: SelfFilterArgs,
+}
+
+/// The robot's own body in the depth images.
+#[derive(Debug, Clone, Args)]
+pub struct SelfFilterArgs {
+    /// The robot's URDF: its collision geometry at each posture (boxes, cylinders, spheres, STL meshes) is kept out of the map.
+    #[arg(long, value_name = "URDF", value_hint = ValueHint::FilePath)]
+    pub self_filter: Option<PathBuf>,
+    /// The URDF's link whose frame is the rig's base; by default the URDF's root.
+    #[arg(long, value_name = "LINK", requires = "self_filter")]
+    pub self_filter_base: Option<String>,
+    /// What is this near to the robot's body is taken for it, millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 20.0, requires = "self_filter")]
+    pub self_filter_margin_mm: f64,
 }
 
 /// A file that `map` can write beside the cloud.
@@ -181,6 +198,9 @@ pub struct MapArgs {
     /// More files, separated by commas: the fused surface and free space, for planners.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "FILE,...")]
     pub also: Vec<MapFileArg>,
+    /// The robot's own body.
+    #[command(flatten)]
+    pub self_filter: SelfFilterArgs,
 }
 
 /// Arguments of `evaluate`.

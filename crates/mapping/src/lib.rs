@@ -8,11 +8,13 @@
 //! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
 //! - [`surface_gaps`] and [`score_surface`] say how good a map is;
 //! - [`OccupancyGrid`] tells free, occupied and unknown space, as OctoMap files and as a distance field;
+//! - [`without_bodies`] keeps the arm and its gripper out of them;
 //! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`], [`write_stl`]
 //!   and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
 
 mod believed;
+mod bodies;
 mod cloud;
 mod cloud_builder;
 mod color_lookup;
@@ -33,11 +35,12 @@ mod view;
 mod view_points;
 mod voxel;
 
+pub use bodies::{Body, BodyShape, without_bodies};
 pub use cloud::{Model, PointCloud, TriangleMesh};
 pub use cloud_builder::{CloudBuilder, CloudOptions, PointDepths, PointNormals, UncoloredPoints};
 pub use depth_filter::{DepthFilter, DepthNoise};
 pub use error::Error;
-pub use formats::{write_glb, write_obj, write_pcd, write_stl};
+pub use formats::{read_stl, write_glb, write_obj, write_pcd, write_stl};
 pub use nearest::SurfaceIndex;
 pub use occupancy::{Esdf, FreeBoundary, Occupancy, OccupancyGrid, OccupancyOptions};
 pub use ply::{read_ply, write_cloud_ply, write_ply};

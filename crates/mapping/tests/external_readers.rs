@@ -1,12 +1,12 @@
 //! The files as the programs read them for which they are meant. Each test skips, with the reason, where its program is
 //! missing: OctoMap wants Debian's `liboctomap-dev` and `g++`, the meshes and clouds a Python with `open3d` (its
-//! interpreter in `SKCLAM_PYTHON`, else `python3`).
+//! interpreter in `SKCLAM_PYTHON`, else `python3`) and the Point Cloud Library's programs (Debian's `pcl-tools`).
 
 use image::{Rgb, RgbImage};
 use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera};
 use skclam_mapping::{
-    Model, Occupancy, OccupancyGrid, OccupancyOptions, SurfaceOptions, Tsdf, TsdfOptions, View, write_glb, write_obj,
-    write_pcd, write_ply, write_stl,
+    Model, Occupancy, OccupancyGrid, OccupancyOptions, SurfaceOptions, Tsdf, TsdfOptions, View, read_ply, write_glb,
+    write_obj, write_pcd, write_ply, write_stl,
 };
 use std::fmt::Write as _;
 use std::fs::File;
@@ -223,4 +223,59 @@ fn open3d_and_numpy_read_clouds_meshes_and_the_distance_field() {
     near(&read["esdf"][3], esdf.distance_m.iter().copied().fold(0.0, f32::max).into(), 1e-6);
     near(&read["esdf"][4], esdf.state.iter().filter(|state| **state == 2).count() as f64, 0.0);
     assert_eq!(read["esdf"][5], "float32");
+}
+
+/// Points, normals and colours by the writers' own names, from an ASCII PCD.
+fn ascii_pcd(text: &str) -> (Vec<String>, Vec<Vec<f64>>) {
+    let fields = text.lines().find_map(|line| line.strip_prefix("FIELDS ")).expect("a PCD has fields");
+    let body = text.split_once("DATA ascii\n").expect("it is text").1;
+    let rows = body.lines().map(|line| line.split_whitespace().map(|word| word.parse().unwrap()).collect());
+    (fields.split_whitespace().map(str::to_owned).collect(), rows.collect())
+}
+
+#[test]
+fn the_point_cloud_library_reads_clouds_and_meshes() {
+    let missing = ["pcl_convert_pcd_ascii_binary", "pcl_ply2pcd", "pcl_pcd2ply"]
+        .into_iter()
+        .find(|program| Command::new(program).arg("--help").output().is_err());
+    if let Some(program) = missing {
+        return eprintln!("skipped: {program} is not there (Debian's pcl-tools)");
+    }
+    let scratch = Scratch::new("pcl");
+    let scene = scene();
+    let mut tsdf = Tsdf::new(TsdfOptions { voxel_m: 0.01, ..Default::default() }).unwrap();
+    tsdf.integrate(&scene.view()).unwrap();
+    let mesh = tsdf.surface(&SurfaceOptions::default()).unwrap();
+    let points = mesh.vertices.points.clone();
+    write_pcd(&mesh.vertices, scratch.file("cloud.pcd")).unwrap();
+    write_ply(&Model::Cloud(mesh.vertices.clone()), scratch.file("cloud.ply")).unwrap();
+    write_ply(&Model::Mesh(mesh), scratch.file("mesh.ply")).unwrap();
+    let run = |program: &str, arguments: &[&str]| {
+        let output = Command::new(program).args(arguments).current_dir(&scratch.0).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{program} {arguments:?}: {told}");
+        told
+    };
+    run("pcl_ply2pcd", &["cloud.ply", "from_ply.pcd"]);
+    run("pcl_ply2pcd", &["mesh.ply", "from_mesh.pcd"]);
+    run("pcl_pcd2ply", &["cloud.pcd", "from_pcd.ply"]);
+    for name in ["cloud.pcd", "from_ply.pcd", "from_mesh.pcd"] {
+        run("pcl_convert_pcd_ascii_binary", &[name, "text.pcd", "0"]);
+        let (fields, rows) = ascii_pcd(&std::fs::read_to_string(scratch.0.join("text.pcd")).unwrap());
+        assert_eq!(rows.len(), points.len(), "{name}");
+        for wanted in ["x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb"] {
+            let known = fields.iter().any(|field| field == wanted || (wanted == "rgb" && field == "rgba"));
+            assert!(known, "{name} has {fields:?}, not {wanted}");
+        }
+        let place = |wanted: &str| fields.iter().position(|field| field == wanted).unwrap();
+        let axes = ["x", "y", "z"].map(place);
+        for (row, point) in rows.iter().zip(&points) {
+            let same = axes.iter().zip(point).all(|(&axis, value)| (row[axis] - f64::from(*value)).abs() < 1e-5);
+            assert!(same, "{name}: {row:?} {point:?}");
+        }
+    }
+    // What PCL made of our PCD is read by us again.
+    let file = File::open(scratch.0.join("from_pcd.ply")).unwrap();
+    let back = read_ply(std::io::BufReader::new(file)).unwrap();
+    assert_eq!(back.points().len(), points.len());
 }

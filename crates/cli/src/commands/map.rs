@@ -1,7 +1,7 @@
 //! `skclam map`.
 
 use crate::args::{Cli, MapArgs, MapFileArg};
-use crate::commands::run::stages;
+use crate::commands::run::{coverage_line, filter_self, stages};
 use crate::progress::{Screen, peak_memory_mib};
 use anyhow::{Result, bail};
 use skclam::dataset::Dataset;
@@ -12,10 +12,11 @@ use skclam::trajectory::trajectory_text;
 
 /// Builds a map at the poses of a rig.
 pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
-    let dataset = match &args.rig {
+    let mut dataset = match &args.rig {
         None => Dataset::open(&args.dataset)?,
         Some(path) => Dataset::open_with_rig(&args.dataset, Rig::read(path)?)?,
     };
+    filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let config = Config { voxel_m: args.voxel_mm.map(|voxel_mm| voxel_mm * 1e-3), ..Config::default() };
     let staged = StagedFolder::new(&args.out)?;
     let screen = Screen::new(cli.quiet);
@@ -30,17 +31,23 @@ pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
     let points = cloud.len();
     drop(cloud);
     let more = pipeline::write_map_files(&dataset, &poses, &dataset.rig, &config, &files, &staged, &screen)?;
+    let filter = config.cloud.filter;
+    let coverage = pipeline::map_coverage(&dataset, &poses, &dataset.rig, None, filter)?;
     let folder = staged.publish()?;
     let stages = stages(&screen);
     let wall: f64 = stages.iter().map(|stage| stage.wall_s).sum();
     if cli.json {
         let summary = serde_json::json!({
-            "points": points, "images": dataset.len(), "wall_s": wall, "peak_memory_mib": peak_memory_mib(), "files": more
+            "points": points, "images": dataset.len(), "wall_s": wall, "peak_memory_mib": peak_memory_mib(), "coverage": coverage,
+            "files": more
         });
         println!("{}", serde_json::to_string_pretty(&summary)?);
         return Ok(());
     }
     println!("Map: {points} points from {} postures in {wall:.1} s; voxels of {:.1} mm", dataset.len(), more.voxel_mm);
+    if let Some(coverage) = &coverage {
+        println!("{}", coverage_line(coverage));
+    }
     if let Some(triangles) = more.triangles {
         println!("Surface: {triangles} triangles");
     }

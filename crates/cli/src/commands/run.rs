@@ -1,12 +1,12 @@
 //! `skclam run` and `skclam calibrate`.
 
-use crate::args::{Cli, PresetArg, RunArgs};
+use crate::args::{Cli, PresetArg, RunArgs, SelfFilterArgs};
 use crate::commands::report::write_report;
 use crate::progress::{Screen, peak_memory_mib};
 use crate::screen;
 use anyhow::{Context, Result};
 use skclam::calibration::Free;
-use skclam::dataset::Dataset;
+use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
 use skclam::output::StagedFolder;
 use skclam::pipeline::{self, Config, MapCoverage};
 use skclam::rig::Rig;
@@ -21,13 +21,26 @@ pub enum Extent {
     CalibrationOnly,
 }
 
+/// Takes the robot's body out of the data set's depth images, if asked for, and warns of shapes that cannot be used.
+pub fn filter_self(dataset: &mut Dataset, args: &SelfFilterArgs, quiet: bool) -> Result<()> {
+    let Some(urdf) = &args.self_filter else { return Ok(()) };
+    let options =
+        SelfFilterOptions { base_link: args.self_filter_base.clone(), margin_m: args.self_filter_margin_mm * 1e-3 };
+    let filter = SelfFilter::read(urdf, &dataset.rig, options)?;
+    let told: Vec<String> = filter.left_out().iter().map(|reason| format!("self filter without {reason}")).collect();
+    screen::warn(quiet, &told);
+    dataset.self_filter = Some(filter);
+    Ok(())
+}
+
 /// Runs, writes the results, shows the table.
 pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
-    let dataset = match &args.rig {
+    let mut dataset = match &args.rig {
         None => Dataset::open(&args.dataset)?,
         Some(path) => Dataset::open_with_rig(&args.dataset, Rig::read(path)?)?,
     };
     let config = config(args, &dataset.rig)?;
+    filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let staged = StagedFolder::new(&args.out)?;
     let screen = Screen::new(cli.quiet);
     let mut outcome = match extent {

@@ -159,8 +159,32 @@ impl<'a> Document<'a> {
         self.links.iter().copied().filter(|link| !self.parents.contains(link)).collect()
     }
 
+    /// The text's elements, once more.
+    pub(super) fn tree(&self) -> Result<roxmltree::Document<'a>, KinematicsError> {
+        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        roxmltree::Document::parse_with_options(self.text, options)
+            .map_err(|error| refuse(error.pos().row, error.to_string()))
+    }
+
     /// The joints from one link to another, in order.
     pub(super) fn path(&self, base_link: &str, tip_link: &str) -> Result<Vec<UrdfJoint<'a>>, KinematicsError> {
+        self.path_with(base_link, tip_link, RawJoint::read)
+    }
+
+    /// As [`Document::path`], with joints that no chain has (mimic, planar, floating) as fixed ones.
+    pub(super) fn path_at_rest(&self, base_link: &str, tip_link: &str) -> Result<Vec<UrdfJoint<'a>>, KinematicsError> {
+        self.path_with(base_link, tip_link, |joint| {
+            let follows = joint.mimics.is_some() || matches!(joint.kind, "planar" | "floating");
+            joint.read_as(if follows { "fixed" } else { joint.kind })
+        })
+    }
+
+    fn path_with(
+        &self,
+        base_link: &str,
+        tip_link: &str,
+        read: impl Fn(&RawJoint<'a>) -> Result<UrdfJoint<'a>, KinematicsError>,
+    ) -> Result<Vec<UrdfJoint<'a>>, KinematicsError> {
         for link in [base_link, tip_link] {
             if !self.links.contains(&link) {
                 let ends = format!("it begins at {} and ends at {}", listed(&self.roots()), listed(&self.tips()));
@@ -182,7 +206,7 @@ impl<'a> Document<'a> {
                     format!("the joints above '{tip_link}' go in a circle"),
                 ));
             }
-            found.push(joint.read()?);
+            found.push(read(joint)?);
             link = joint.parent;
         }
         found.reverse();
@@ -192,19 +216,28 @@ impl<'a> Document<'a> {
 
 impl<'a> RawJoint<'a> {
     fn read(&self) -> Result<UrdfJoint<'a>, KinematicsError> {
-        let refuse = |problem: String| refuse(line_of(self.text, self.at), format!("joint '{}' {problem}", self.name));
+        if let Some(other) = self.mimics {
+            return Err(self.refuse(format!(
+                "mimics '{other}': its value is not its own, and a serial chain has no such joint; choose a base and \
+                 a tip link that leave it out"
+            )));
+        }
+        self.read_as(self.kind)
+    }
+
+    fn refuse(&self, problem: String) -> KinematicsError {
+        refuse(line_of(self.text, self.at), format!("joint '{}' {problem}", self.name))
+    }
+
+    /// As if its type were `kind`, and without a look at what it mimics.
+    fn read_as(&self, kind: &str) -> Result<UrdfJoint<'a>, KinematicsError> {
+        let refuse = |problem: String| self.refuse(problem);
         let vector = |what: &str, text: Option<&str>, default: Vector3<f64>| match text {
             None => Ok(default),
             Some(text) => three_numbers(text)
                 .ok_or_else(|| refuse(format!("has {what}=\"{}\"; three finite numbers are needed", shortened(text)))),
         };
-        if let Some(other) = self.mimics {
-            return Err(refuse(format!(
-                "mimics '{other}': its value is not its own, and a serial chain has no such joint; choose a base and \
-                 a tip link that leave it out"
-            )));
-        }
-        let motion = match self.kind {
+        let motion = match kind {
             "fixed" => None,
             "revolute" | "continuous" | "prismatic" => {
                 let axis = vector("axis xyz", self.axis, Vector3::x())?;
@@ -220,14 +253,14 @@ impl<'a> RawJoint<'a> {
                     }),
                 };
                 let given = self.lower.is_some() || self.upper.is_some();
-                let limits = match self.kind != "continuous" && given {
+                let limits = match kind != "continuous" && given {
                     false => None,
                     true => Some([number("lower", self.lower)?, number("upper", self.upper)?]),
                 };
                 if let Some([lower, upper]) = limits.filter(|[lower, upper]| lower > upper) {
                     return Err(refuse(format!("has its lower limit {lower} above its upper limit {upper}")));
                 }
-                let kind = if self.kind == "prismatic" { JointKind::Prismatic } else { JointKind::Revolute };
+                let kind = if kind == "prismatic" { JointKind::Prismatic } else { JointKind::Revolute };
                 Some(Motion { kind, axis, limits })
             }
             other => {

@@ -8,7 +8,7 @@ mod stl;
 pub use glb::write_glb;
 pub use obj::write_obj;
 pub use pcd::write_pcd;
-pub use stl::write_stl;
+pub use stl::{read_stl, write_stl};
 
 #[cfg(test)]
 mod tests {

@@ -305,6 +305,45 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn an_image_without_pixels_changes_nothing() {
+        let camera = plain_camera(0, 0);
+        let depth = DepthImage::new(0, 0, Vec::new()).unwrap();
+        let mut tsdf = Tsdf::new(TsdfOptions::default()).unwrap();
+        let report = tsdf.integrate(&view(&depth, &camera)).unwrap();
+        assert_eq!(report, Integration { pixels: 0, blocks_updated: 0, blocks_new: 0 });
+        let mut cloud = crate::CloudBuilder::new(crate::CloudOptions::default()).unwrap();
+        assert_eq!(cloud.add(&view(&depth, &camera)).unwrap(), 0);
+        let mut grid = crate::OccupancyGrid::new(crate::OccupancyOptions::default()).unwrap();
+        grid.add(&view(&depth, &camera)).unwrap();
+        assert_eq!(grid.counts(), (0, 0));
+    }
+
+    #[test]
+    fn wide_voxels_take_every_second_pixel_and_see_the_same_wall() {
+        let camera = plain_camera(161, 121);
+        // A slanted wall: n . X = 0.5.
+        let normal = nalgebra::Vector3::new(0.3, -0.2, 1.0).normalize();
+        let depth = (0..161 * 121).map(|i| {
+            let ray = camera.camera.unproject(&skclam_geometry::Pixel::new(f64::from(i % 161), f64::from(i / 161)));
+            (0.5 / normal.dot(&ray)) as f32
+        });
+        let depth = DepthImage::new(161, 121, depth.collect()).unwrap();
+        let mut tsdf = Tsdf::new(TsdfOptions { voxel_m: 0.02, ..Default::default() }).unwrap();
+        tsdf.integrate(&view(&depth, &camera)).unwrap();
+        assert_eq!(Frame::new(&view(&depth, &camera), &mut FrameCameras::default(), tsdf.options()).thinning, 2);
+        let mut seen = 0;
+        for (x, y) in (-8..=8).flat_map(|x| (-6..=6).map(move |y| (x, y))) {
+            let (x, y) = (f64::from(x) * 0.02 + 0.01, f64::from(y) * 0.02 + 0.01);
+            let z = (((0.5 - normal.x * x - normal.y * y) / normal.z / 0.02).floor() + 0.5) * 0.02;
+            let (distance, _) = tsdf.at([x, y, z]).unwrap();
+            let expected = 0.5 - normal.dot(&nalgebra::Vector3::new(x, y, z));
+            assert!((distance - expected).abs() < 2e-4, "{distance} {expected}");
+            seen += 1;
+        }
+        assert_eq!(seen, 17 * 13);
+    }
+
+    #[test]
     fn the_same_field_on_any_number_of_threads() {
         let camera = plain_camera(120, 90);
         let wavy = (0..120 * 90).map(|i| 1.0 + 0.1 * ((i % 120) as f32 * 0.1).sin() + 0.002 * ((i * 37) % 11) as f32);

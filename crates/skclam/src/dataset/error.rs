@@ -25,6 +25,14 @@ pub enum DatasetError {
         /// Why.
         source: std::io::Error,
     },
+    /// The robot's body cannot be taken out of the depth images.
+    #[error("{}: {problem}", path.display())]
+    SelfFilter {
+        /// The URDF.
+        path: PathBuf,
+        /// What is wrong with it, or with the posture.
+        problem: String,
+    },
     /// The table of postures is not well formed.
     #[error("{}, line {line}: {problem}", path.display())]
     Table {

@@ -6,10 +6,12 @@
 mod error;
 mod images;
 mod postures;
+mod self_filter;
 
 pub use error::DatasetError;
 pub use images::write_depth_png;
 pub use postures::{PostureRecord, read_postures, write_postures};
+pub use self_filter::{SelfFilter, SelfFilterOptions};
 
 use image::{GrayImage, RgbImage};
 use skclam_geometry::DepthImage;
@@ -25,6 +27,8 @@ pub struct Dataset {
     pub rig: Rig,
     /// One record a posture, in the order of the file.
     pub records: Vec<PostureRecord>,
+    /// Takes the robot's own body out of the depth images; `None`: they are as they were recorded.
+    pub self_filter: Option<SelfFilter>,
 }
 
 impl Dataset {
@@ -42,7 +46,7 @@ impl Dataset {
     pub fn open_with_rig(folder: impl AsRef<Path>, rig: Rig) -> Result<Dataset, DatasetError> {
         let folder = folder.as_ref();
         let records = read_postures(&folder.join("postures.csv"))?;
-        let dataset = Dataset { folder: folder.to_owned(), rig, records };
+        let dataset = Dataset { folder: folder.to_owned(), rig, records, self_filter: None };
         dataset.check()?;
         Ok(dataset)
     }
@@ -72,11 +76,14 @@ impl Dataset {
         images::read_gray(&self.folder.join(&self.records[index].color), &self.rig.color)
     }
 
-    /// Decodes the depth image of a posture; `None` where the posture has none.
+    /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture has none.
     pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
-        match (&self.records[index].depth, &self.rig.depth) {
-            (Some(path), Some(camera)) => images::read_depth(&self.folder.join(path), camera).map(Some),
-            _ => Ok(None),
+        let record = &self.records[index];
+        let (Some(path), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };
+        let depth = images::read_depth(&self.folder.join(path), camera)?;
+        match &self.self_filter {
+            None => Ok(Some(depth)),
+            Some(filter) => filter.apply(&depth, camera, &self.rig, &record.posture).map(Some),
         }
     }
 
