@@ -306,7 +306,8 @@ pub(crate) mod tests {
 
     #[test]
     fn an_image_without_pixels_changes_nothing() {
-        let camera = plain_camera(0, 0);
+        let mut camera = plain_camera(0, 0);
+        (camera.camera.fx, camera.camera.fy) = (1.0, 1.0);
         let depth = DepthImage::new(0, 0, Vec::new()).unwrap();
         let mut tsdf = Tsdf::new(TsdfOptions::default()).unwrap();
         let report = tsdf.integrate(&view(&depth, &camera)).unwrap();
