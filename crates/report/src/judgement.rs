@@ -57,18 +57,26 @@ pub fn judge(run: &RunResult) -> Judgement {
     estimate(run, &mut reasons);
     // Stable: among equals, the order in which they were looked at.
     reasons.sort_by_key(|(light, _)| std::cmp::Reverse(*light));
-    let light = reasons.first().map_or(Light::Amber, |(light, _)| *light);
+    // The run's own grade is heard even where no reason here calls for as much.
+    let light = reasons.iter().map(|(light, _)| *light).fold(graded(run), Light::max);
     Judgement { light, reasons }
 }
 
-/// The run's own judgement, with what it rests on.
-fn grade(run: &RunResult, reasons: &mut Vec<(Light, String)>) {
-    let light = match run.text("/grade") {
+/// The run's own judgement.
+fn graded(run: &RunResult) -> Light {
+    match run.text("/grade") {
         "good" => Light::Green,
         "bad" => Light::Red,
         _ => Light::Amber,
-    };
+    }
+}
+
+/// What the run's judgement rests on.
+fn grade(run: &RunResult, reasons: &mut Vec<(Light, String)>) {
+    let light = graded(run);
     let px = |which: &str| run.number(&format!("/held_out/figure_px/{which}"));
+    let beats_nominal = px("calibrated").zip(px("nominal")).is_some_and(|(calibrated, nominal)| calibrated < nominal);
+    let beats_mount = px("calibrated").zip(px("mount_only")).is_none_or(|(calibrated, mount)| calibrated < mount);
     let told = match (px("nominal"), px("calibrated"), px("mount_only")) {
         (Some(nominal), Some(calibrated), _) if calibrated >= nominal => {
             "On postures that it was not fitted to (held out) it is no better than the nominal rig."
@@ -77,6 +85,7 @@ fn grade(run: &RunResult, reasons: &mut Vec<(Light, String)>) {
             "On postures that it was not fitted to (held out), correcting the mount alone does as well as correcting the arm."
         }
         (Some(_), Some(_), _) if light == Light::Green => "It holds on postures that it was not fitted to (held out).",
+        // What is wrong then is said by another reason.
         (Some(_), Some(_), _) => "It is better than the nominal rig on postures that it was not fitted to (held out).",
         _ => "It was not tried on postures that it was not fitted to (no held-out test).",
     };
@@ -91,7 +100,7 @@ fn grade(run: &RunResult, reasons: &mut Vec<(Light, String)>) {
             reasons.push((light.max(Light::Amber), "The matches fit no better than with the nominal rig.".to_owned()));
         }
     }
-    reasons.push((light, told.to_owned()));
+    reasons.push((if beats_nominal && beats_mount { Light::Green } else { light }, told.to_owned()));
     if let Some(outliers) = run.number("/calibration/outlier_fraction").filter(|&share| share > MANY_OUTLIERS) {
         reasons.push((Light::Amber, format!("{:.0} % of the correspondences do not fit.", outliers * 100.0)));
     }
