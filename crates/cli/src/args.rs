@@ -291,6 +291,12 @@ pub struct SimulateArgs {
     /// Scale of the colour image: 1 is 1920x1080.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub scale: f64,
+    /// Seed of diverse postures, where they shall differ from those of another recording of the same arm; by default --seed.
+    #[arg(long, value_name = "N")]
+    pub posture_seed: Option<u64>,
+    /// Also write the data set as a robot would have recorded it (MCAP, ROS 2 messages), to practise `import`.
+    #[arg(long, value_name = "MCAP", value_hint = ValueHint::FilePath)]
+    pub recording: Option<PathBuf>,
     /// Seed of scene, noise and random arm.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,

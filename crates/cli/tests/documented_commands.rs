@@ -46,6 +46,25 @@ fn run_page(page: &str, prepare: impl Fn(&Path)) {
     assert!(output.status.success(), "{page}\n{}\n{}", text(&output.stdout), text(&output.stderr));
 }
 
+fn with_a_capture(folder: &Path) {
+    let capture = folder.join("capture.mcap");
+    let practice = folder.join("practice");
+    support::succeed(&[
+        "simulate",
+        "--scale",
+        "0.2",
+        "--postures",
+        "diverse",
+        "--count",
+        "6",
+        "--quiet",
+        "--recording",
+        support::utf8(&capture),
+        "--out",
+        support::utf8(&practice),
+    ]);
+}
+
 fn with_a_cell(folder: &Path) {
     std::os::unix::fs::symlink(cell(), folder.join("cell")).unwrap();
 }
@@ -53,6 +72,16 @@ fn with_a_cell(folder: &Path) {
 #[test]
 fn the_virtual_cell_in_five_minutes() {
     run_page("docs/tutorials/virtual-cell.md", |_| {});
+}
+
+#[test]
+fn from_a_bag_to_a_urdf() {
+    run_page("docs/tutorials/own-recording.md", |_| {});
+}
+
+#[test]
+fn the_guide_to_recording() {
+    run_page("docs/capture.md", with_a_capture);
 }
 
 #[test]

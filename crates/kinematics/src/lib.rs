@@ -24,7 +24,9 @@ pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
 pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
 pub use spherical_wrist::{Elbow, Shoulder, SphericalWristSolution, Wrist, spherical_wrist_solutions};
 pub use turns::nearby;
-pub use urdf::{CollisionBody, CollisionModel, CollisionShape, chain_from_urdf, line_diff, urdf_ends, write_urdf};
+pub use urdf::{
+    CollisionBody, CollisionModel, CollisionShape, bare_urdf, chain_from_urdf, line_diff, urdf_ends, write_urdf,
+};
 
 /// A rigid transform `a_from_b`, metres.
 pub type Isometry3 = nalgebra::Isometry3<f64>;

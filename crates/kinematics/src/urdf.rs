@@ -4,10 +4,12 @@
 //! `R = Rz(yaw) Ry(pitch) Rx(roll)`), `axis`, `limit`, `parent`, `child`, `mimic`. The reader keeps the places of
 //! the attributes in the text, so that the writer changes those and nothing else.
 
+mod bare;
 mod collision;
 mod document;
 mod write;
 
+pub use bare::bare_urdf;
 pub use collision::{CollisionBody, CollisionModel, CollisionShape};
 pub(crate) use write::{UNCHANGED, roll_pitch_yaw, rounded};
 pub use write::{line_diff, write_urdf};

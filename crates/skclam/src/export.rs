@@ -4,8 +4,8 @@
 use crate::output::{OutputError, StagedFolder};
 use serde::Serialize;
 use skclam_kinematics::{
-    Isometry3, KinematicsError, ParameterId, SerialChain, chain_from_urdf, corrections_csv, kinematics_yaml, line_diff,
-    static_transform_line, write_urdf,
+    Isometry3, KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
+    line_diff, static_transform_line, write_urdf,
 };
 use skclam_rig::Rig;
 
@@ -23,6 +23,8 @@ pub struct UrdfSource {
 /// Options of an export.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExportOptions {
+    /// First link of a URDF that is written for an arm without one.
+    pub base_frame: String,
     /// Frame of the flange in the static transform.
     pub flange_frame: String,
     /// Frame of the colour camera in the static transform: the optical one, z forward.
@@ -34,6 +36,7 @@ pub struct ExportOptions {
 impl Default for ExportOptions {
     fn default() -> Self {
         ExportOptions {
+            base_frame: "base_link".to_owned(),
             flange_frame: "tool0".to_owned(),
             camera_frame: "camera_color_optical_frame".to_owned(),
             hash: "calib_skclam".to_owned(),
@@ -111,8 +114,8 @@ struct ExportedJson {
 /// Writes a calibrated rig into a folder that the caller publishes. `nominal`: the rig that the calibration began with;
 /// without it the chain of the URDF.
 ///
-/// Written are `corrections.csv`, `parameters.json`, `static_transform.sh`, with a URDF `robot.urdf` and
-/// `robot.urdf.diff`, and for six revolute joints `kinematics.yaml`. Every file with numbers says its units.
+/// Written are `corrections.csv`, `parameters.json`, `static_transform.sh`, `robot.urdf` (with a URDF that one corrected, beside `robot.urdf.diff`; without
+/// one a bare description of the chain), and for six revolute joints `kinematics.yaml`. Every file with numbers says its units.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -160,6 +163,8 @@ pub fn export(
         write("robot.urdf", &text)?;
         write("robot.urdf.diff", &diff)?;
         urdf_diff = Some(diff);
+    } else {
+        write("robot.urdf", &bare_urdf(arm, &calibrated.name, &options.base_frame, &options.flange_frame))?;
     }
     Ok(Exported { files, urdf_diff, static_transform, left_out })
 }

@@ -16,6 +16,7 @@ pub mod progress;
 pub mod report_data;
 pub mod reproduction;
 pub mod result_recording;
+pub mod robot_recording;
 pub mod summary;
 pub mod surface_evaluation;
 pub mod trajectory;

@@ -11,6 +11,8 @@ pub enum Stage {
     Inspect,
     /// Rendering the virtual cell.
     Simulate,
+    /// Writing a data set as a recording.
+    Record,
     /// Detecting and describing keypoints, section 3.2.
     ExtractFeatures,
     /// Matching pairs of images, section 3.2.
@@ -39,6 +41,7 @@ impl fmt::Display for Stage {
             Stage::Import => "import",
             Stage::Inspect => "inspect",
             Stage::Simulate => "simulate",
+            Stage::Record => "record",
             Stage::ExtractFeatures => "features",
             Stage::MatchPairs => "match",
             Stage::BuildTracks => "tracks",

@@ -3,14 +3,18 @@
 use crate::args::{Cli, ErrorsArg, ImageNoiseArg, PosturesArg, SimulateArgs};
 use crate::commands::run::stages;
 use crate::progress::Screen;
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use skclam::dataset::Dataset;
 use skclam::output::StagedFolder;
 use skclam::rig::{Rig, builtin_names, builtin_rig};
+use skclam::robot_recording::write_robot_recording;
 use skclam::simulation::{
     ColorNoiseOptions, DepthNoiseOptions, DiverseOptions, EncoderNoiseOptions, PaperView, Perturbation,
     PerturbationSigmas, PosturePlan, SceneOptions, Simulation, SimulationConfig,
 };
 use skclam::virtual_cell::{scaled_rig, write_virtual_cell};
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::Path;
 
 /// Renders a data set.
@@ -24,6 +28,9 @@ pub fn simulate(cli: &Cli, args: &SimulateArgs) -> Result<()> {
     let screen = Screen::new(cli.quiet);
     write_virtual_cell(&simulation, &staged, &screen)?;
     let folder = staged.publish()?;
+    if let Some(path) = &args.recording {
+        write_recording(&folder, path, &screen)?;
+    }
     let wall: f64 = stages(&screen).iter().map(|stage| stage.wall_s).sum();
     let postures = simulation.postures().len();
     if cli.json {
@@ -31,6 +38,18 @@ pub fn simulate(cli: &Cli, args: &SimulateArgs) -> Result<()> {
     } else {
         println!("{postures} postures in {wall:.1} s\nData set: {} (the truth lies in truth/)", folder.display());
     }
+    Ok(())
+}
+
+/// The data set as the robot would have recorded it; whole or not at all.
+fn write_recording(folder: &Path, path: &Path, screen: &Screen) -> Result<()> {
+    let dataset = Dataset::open(folder)?;
+    let name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?;
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let staged = StagedFolder::new(parent)?;
+    let out = BufWriter::new(File::create(staged.path(name)?)?);
+    write_robot_recording(&dataset, out, screen)?;
+    staged.publish()?;
     Ok(())
 }
 
@@ -48,7 +67,9 @@ pub fn rig(name: &str) -> Result<Rig> {
 
 fn config(args: &SimulateArgs) -> SimulationConfig {
     // One seed in, a stream of its own for each kind of noise.
-    let seed = |stream: u64| args.seed.wrapping_mul(1000).wrapping_add(stream);
+    let stream = |seed: u64, stream: u64| seed.wrapping_mul(1000).wrapping_add(stream);
+    let seed = |number: u64| stream(args.seed, number);
+    let posture_seed = stream(args.posture_seed.unwrap_or(args.seed), 2);
     SimulationConfig {
         scene: SceneOptions { seed: args.seed, ..SceneOptions::default() },
         perturbation: match args.errors {
@@ -58,7 +79,11 @@ fn config(args: &SimulateArgs) -> SimulationConfig {
         postures: match args.postures {
             PosturesArg::Paper => PosturePlan::Paper { view: PaperView::default() },
             PosturesArg::Diverse => PosturePlan::Diverse {
-                options: DiverseOptions { seed: seed(2), count: usize::from(args.count), ..DiverseOptions::default() },
+                options: DiverseOptions {
+                    seed: posture_seed,
+                    count: usize::from(args.count),
+                    ..DiverseOptions::default()
+                },
             },
         },
         color_noise: match args.image_noise {
