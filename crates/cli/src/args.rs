@@ -135,6 +135,9 @@ pub struct RunArgs {
     /// Seed of every random choice.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is not looked at.
+    #[arg(long)]
+    pub find_mount: bool,
     /// Another nominal rig than the data set's rig.toml.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
     pub rig: Option<PathBuf>,

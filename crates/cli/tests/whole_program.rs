@@ -77,6 +77,24 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
 }
 
 #[test]
+fn a_mount_that_nobody_knows_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = folder.path().join("rig.toml");
+    let nominal = fs::read_to_string(cell().join("rig.toml")).unwrap();
+    // The camera looks backwards, by this rig, and from the wrong side of the flange.
+    let (before, mount) = nominal.split_once("[mount]").unwrap();
+    let after = &mount[mount.find("\n[").unwrap()..];
+    let unknown = "[mount]\ntranslation_mm = [80.0, 90.0, -50.0]\nquaternion_xyzw = [0.8, 0.0, 0.6, 0.0]\n";
+    fs::write(&rig, format!("{before}{unknown}{after}")).unwrap();
+    let out = folder.path().join("result");
+    succeed(&["calibrate", utf8(cell()), "--rig", utf8(&rig), "--find-mount", "--quiet", "--out", utf8(&out)]);
+    let truth = cell().join("truth/rig.toml");
+    let evaluation =
+        json(&succeed(&["evaluate", utf8(&out), "--truth", utf8(&truth), "--dataset", utf8(cell()), "--json"]));
+    assert!(number(&evaluation, "/camera_after_base_gauge/position_mm/mean") < 1.0, "{evaluation}");
+}
+
+#[test]
 fn the_papers_method_beats_the_papers_figures() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("result");

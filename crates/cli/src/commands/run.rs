@@ -43,10 +43,24 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let staged = StagedFolder::new(&args.out)?;
     let screen = Screen::new(cli.quiet);
+    let found = match args.find_mount {
+        true => Some(pipeline::find_mount(&dataset, &config, &screen)?),
+        false => None,
+    };
+    if let Some(found) = &found {
+        dataset.rig.flange_from_color = found.flange_from_color;
+    }
     let mut outcome = match extent {
         Extent::Everything => pipeline::run(&dataset, &config, &screen)?,
         Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen)?,
     };
+    outcome.summary.warnings.extend(found.map(|found| {
+        format!(
+            "the nominal mount was found from {} matches in {} pairs of images ({:.2} px from their epipolar lines in the median); \
+             the rig's own stood {:.0} mm and {:.1} deg off",
+            found.matches, found.pairs, found.median_sampson_px, found.shifted_by_mm, found.turned_by_deg
+        )
+    }));
     outcome.summary.stages = stages(&screen);
     outcome.summary.peak_memory_mib = peak_memory_mib();
     outcome.write(&staged)?;

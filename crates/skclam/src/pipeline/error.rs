@@ -40,7 +40,7 @@ pub enum RunError {
     /// No image pair is left with enough matches.
     #[error(
         "no pair of images has enough matches: {keypoints} keypoints in {images} images, {candidates} candidates, {after_ratio} after the ratio test, {matches} after all filters. \
-         Is there texture in view, do neighbouring images overlap, does the nominal rig belong to this recording? A wider --config gate_deg may help when the mount is only a guess"
+         Is there texture in view, do neighbouring images overlap, does the nominal rig belong to this recording? Where the mount is only a guess, --find-mount finds it"
     )]
     NoMatches {
         /// Images.

@@ -88,7 +88,7 @@ fn one_image(
 
 impl ImageFeatures {
     /// Keeps the keypoints whose pixel (distortion included) the predicate accepts; how many were dropped.
-    pub fn retain(&mut self, keep: impl Fn(&Pixel) -> bool) -> usize {
+    pub fn retain(&mut self, mut keep: impl FnMut(&Pixel) -> bool) -> usize {
         let accepted: Vec<bool> =
             self.features.keypoints.iter().map(|k| keep(&Pixel::new(f64::from(k.x), f64::from(k.y)))).collect();
         retain_marked(&mut self.features.keypoints, &accepted);
