@@ -150,5 +150,6 @@ fn damaged_results_are_answered() {
         let message = fail(&["report", utf8(&out)]);
         assert!(message.contains("report_data.json") && message.contains(said), "{message}");
     }
+    fs::write(&data, &text).unwrap();
     assert!(fail(&["compare", utf8(&out), "no/such"]).contains("no/such"));
 }
