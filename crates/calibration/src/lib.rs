@@ -29,7 +29,9 @@ mod termination;
 mod uncertainty;
 mod warning;
 
-pub use bundle::{BundleOptions, DeviationPolicy, calibrate_bundle};
+pub use bundle::{
+    BundleOptions, DeviationPolicy, ExpectationOptions, ExpectedCalibration, calibrate_bundle, expected_calibration,
+};
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
 };

@@ -40,13 +40,23 @@ pub fn pose_covariances(
 ) -> Result<Option<Vec<PoseCovariance>>, CalibrationError> {
     let Some(covariance) = &calibration.covariance else { return Ok(None) };
     let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
+    spread_to_poses(nominal, &calibration.model, &parameters, covariance, postures).map(Some)
+}
+
+/// The same of a model and the covariance of its parameters.
+pub(crate) fn spread_to_poses(
+    nominal: &Rig,
+    model: &Model,
+    parameters: &[Parameter],
+    covariance: &DMatrix<f64>,
+    postures: &[Posture],
+) -> Result<Vec<PoseCovariance>, CalibrationError> {
     let motion = Motion::new(nominal, postures)?;
-    let camera_model = &calibration.model;
-    let mut flange_model: Model = camera_model.clone();
+    let mut flange_model: Model = model.clone();
     flange_model.rig.flange_from_color = Isometry3::identity();
     let spread = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
-        let mut columns = motion.linearize(model, &parameters, posture, &[])?.by_parameter;
-        for (column, parameter) in columns.iter_mut().zip(&parameters) {
+        let mut columns = motion.linearize(model, parameters, posture, &[])?.by_parameter;
+        for (column, parameter) in columns.iter_mut().zip(parameters) {
             if !moves(parameter) {
                 *column = Vector6::zeros();
             }
@@ -59,11 +69,10 @@ pub fn pose_covariances(
         .map(|posture| {
             Ok(PoseCovariance {
                 flange: spread(&flange_model, &|parameter| !matches!(parameter, Parameter::Mount(_)), posture)?,
-                camera: spread(camera_model, &|_| true, posture)?,
+                camera: spread(model, &|_| true, posture)?,
             })
         })
-        .collect::<Result<Vec<_>, CalibrationError>>()
-        .map(Some)
+        .collect()
 }
 
 #[cfg(test)]

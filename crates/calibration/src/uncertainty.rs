@@ -1,8 +1,10 @@
 //! Covariances, and which sigmas may be told.
 
+use crate::identifiability::identify;
+use crate::prior::Priors;
 use crate::{Identifiability, Model, Parameter, ParameterEstimate};
 use nalgebra::{DMatrix, DVector};
-use skclam_rig::Rig;
+use skclam_rig::{Posture, Rig};
 
 /// A posterior sigma above this fraction of the prior's says that the data were silent.
 const SILENT: f64 = 0.9;
@@ -67,6 +69,33 @@ pub(crate) fn estimates(
         }
     };
     parameters.iter().enumerate().map(tell).collect()
+}
+
+/// What an information matrix says of the parameters.
+pub(crate) struct Told {
+    pub covariance: DMatrix<f64>,
+    pub identifiability: Identifiability,
+    pub parameters: Vec<ParameterEstimate>,
+}
+
+/// From the information of the data about the parameters (natural units, no priors): the covariance with the priors heard, what cannot be
+/// told, and the parameters with their sigmas. The data's part of the covariance is `spread` times the inverse of their information.
+pub(crate) fn tell(
+    nominal: &Rig,
+    model: &Model,
+    postures: &[Posture],
+    parameters: &[Parameter],
+    priors: &Priors,
+    information: &DMatrix<f64>,
+    spread: f64,
+) -> Told {
+    let mut posterior = information / spread;
+    let mut ignored = DVector::zeros(parameters.len());
+    priors.add_to(nominal, model, parameters, &mut posterior, &mut ignored);
+    let covariance = covariance(&posterior, parameters);
+    let identifiability = identify(model, postures, parameters, information);
+    let parameters = estimates(nominal, model, parameters, &priors.sigmas, &covariance, &identifiability);
+    Told { covariance, identifiability, parameters }
 }
 
 #[cfg(test)]

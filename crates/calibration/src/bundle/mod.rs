@@ -5,6 +5,7 @@
 //! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
 
 mod adjust;
+mod expected;
 mod noise;
 mod observations;
 mod pose_system;
@@ -20,6 +21,7 @@ mod triangulate;
 mod unknowns;
 mod view;
 
+pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration};
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
 pub(crate) use solve::compare;

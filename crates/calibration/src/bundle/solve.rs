@@ -8,13 +8,13 @@ use crate::bundle::start::{pairs_from_tracks, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
 use crate::bundle::suspects::{judged, suspects};
 use crate::error_function::epipolar_statistics;
-use crate::identifiability::identify;
 use crate::motion::Motion;
 use crate::prior::{self, Priors};
 use crate::robust::median;
+use crate::uncertainty::{Told, tell};
 use crate::{
     Calibration, CalibrationError, Correspondences, Free, Loss, Model, Noise, PairMatches, PairwiseOptions, Parameter,
-    PostureFit, PriorPolicy, ReprojectionStatistics, Termination, Warning, calibrate_pairwise, uncertainty,
+    PostureFit, PriorPolicy, ReprojectionStatistics, Termination, Warning, calibrate_pairwise,
 };
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
@@ -390,18 +390,14 @@ impl Solve<'_> {
         let count = self.parameters.len();
         let adjustment = self.adjustment(&observations, noise, loss);
         let information = marginal(&adjustment.information(&state)?, count);
-        let mut posterior = &information / efficiency_factor(&sizes, loss);
-        let mut ignored = DVector::zeros(count);
-        self.priors.add_to(self.nominal, &state.model, self.parameters, &mut posterior, &mut ignored);
-        let covariance = uncertainty::covariance(&posterior, self.parameters);
-        let identifiability = identify(&state.model, &data.postures, self.parameters, &information);
-        let estimates = uncertainty::estimates(
+        let Told { covariance, identifiability, parameters: estimates } = tell(
             self.nominal,
             &state.model,
+            &data.postures,
             self.parameters,
-            &self.priors.sigmas,
-            &covariance,
-            &identifiability,
+            self.priors,
+            &information,
+            efficiency_factor(&sizes, loss),
         );
         let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
         let outlier_fraction = outliers as f64 / sizes.len().max(1) as f64;

@@ -5,8 +5,9 @@ use crate::progress::Screen;
 use crate::screen;
 use anyhow::Result;
 use clap::{Args, ValueHint};
+use skclam::calibration::Free;
 use skclam::dataset::Dataset;
-use skclam::inspection::{Inspection, InspectionOptions, inspect as judge};
+use skclam::inspection::{ExpectedSigmas, Inspection, InspectionOptions, inspect as judge};
 use skclam::recordings::{Recording, Survey, survey};
 use std::path::PathBuf;
 
@@ -16,6 +17,9 @@ pub struct InspectArgs {
     /// A recording (.bag, .mcap, .db3, a folder of them, a TUM folder), or a data set folder.
     #[arg(value_hint = ValueHint::AnyPath)]
     pub path: PathBuf,
+    /// What is to be calibrated, as `--free` of `run`: auto, angles, all, or a list.
+    #[arg(long, value_name = "PARAMETERS", default_value = "auto")]
+    pub free: String,
 }
 
 /// Tells what a recording holds, or judges a data set.
@@ -23,7 +27,9 @@ pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
     if args.path.join("postures.csv").is_file() {
         let dataset = Dataset::open(&args.path)?;
         let screen = Screen::new(cli.quiet);
-        let inspection = judge(&dataset, &InspectionOptions::default(), &screen)?;
+        let mut options = InspectionOptions::default();
+        options.expected.expectation.free = Free::parse(&args.free, &dataset.rig)?;
+        let inspection = judge(&dataset, &options, &screen)?;
         screen.finish();
         if cli.json {
             println!("{}", serde_json::to_string_pretty(&inspection)?);
@@ -97,16 +103,8 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
     }
     let partners =
         |position: usize| inspection.pairs.iter().filter(|pair| pair.a == position || pair.b == position).count();
-    let mut table = screen::table(&[
-        "posture",
-        "sharpness",
-        "mean grey",
-        "dark %",
-        "bright %",
-        "depth m",
-        "depth %",
-        "shares with",
-    ]);
+    let mut table =
+        screen::table(&["posture", "sharp", "grey", "dark %", "bright %", "depth m", "depth %", "partners"]);
     for (position, image) in inspection.images.iter().enumerate() {
         let optional = |value: Option<f64>, scale: f64| value.map_or_else(String::new, |v| format!("{:.2}", scale * v));
         table.add_row([
@@ -127,5 +125,33 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
         inspection.pairs.len(),
         inspection.groups.len()
     );
+    if let Some(expected) = &inspection.expected {
+        show_expected(expected);
+    }
     screen::warn(cli.quiet, &inspection.warnings);
+}
+
+fn show_expected(expected: &ExpectedSigmas) {
+    println!();
+    let mut table = screen::table(&["parameter", "expected sigma", "unit"]);
+    for parameter in &expected.parameters {
+        table.add_row([
+            parameter.name.clone(),
+            parameter.sigma.map_or("-".to_owned(), |sigma| format!("{sigma:.4}")),
+            parameter.unit.to_owned(),
+        ]);
+    }
+    println!("{table}");
+    println!(
+        "camera over the postures: expected sigma {:.3} mm and {:.4} deg in the mean, {:.3} mm and {:.4} deg at most",
+        expected.camera_sigma_mm.mean,
+        expected.camera_sigma_deg.mean,
+        expected.camera_sigma_mm.max,
+        expected.camera_sigma_deg.max
+    );
+    let depth = expected.depth_sigma_per_m.map_or(String::new(), |s| format!(" and {s} z^2 m of depth"));
+    println!(
+        "predicted for {} sights with {} px{depth} of noise; {} of {} combinations can be told",
+        expected.sights, expected.pixel_sigma, expected.rank, expected.free
+    );
 }

@@ -34,6 +34,7 @@ pub use map_files::{MapFile, MapFilesSummary, write_map_files};
 pub use matches::{MatchedPair, Search, match_pairs, pairs_to_match};
 pub use mount::{FoundMount, find_mount};
 pub use pairing::{ImagePair, Pairing, PairingOptions, PredictedView, choose_pairs};
+pub(crate) use pairing::{assumed_points, measured_points, shown_to};
 pub use pose_sigmas::{PoseSigma, PoseSigmaSummary, PostureSource, pose_sigmas};
 pub use registered_depth::RegisteredDepth;
 pub use run::{Maps, Outcome, run, run_without_map, write_cloud};

@@ -57,36 +57,46 @@ const GRID: [u32; 2] = [16, 10];
 impl PredictedView {
     /// From a depth image: the points of a coarse grid.
     pub fn from_depth(base_from_color: Isometry3, depth: &DepthImage, depth_camera: &DepthCamera) -> Self {
-        let [columns, rows] = GRID;
-        let mut points_in_color = Vec::new();
-        for row in 0..rows {
-            for column in 0..columns {
-                let x = (2 * column + 1) * depth.width() / (2 * columns);
-                let y = (2 * row + 1) * depth.height() / (2 * rows);
-                if let Some(z) = depth.at(x, y) {
-                    points_in_color
-                        .push(depth_camera.point_in_color(&Pixel::new(f64::from(x), f64::from(y)), f64::from(z)));
-                }
-            }
-        }
-        PredictedView { base_from_color, points_in_color }
+        PredictedView { base_from_color, points_in_color: measured_points(depth, depth_camera, GRID) }
     }
 
     /// Without depth: each ray of the grid at one of several depths in turn, in geometric steps over the range.
-    pub fn from_assumed_depth(base_from_color: Isometry3, camera: &PinholeCamera, [near_m, far_m]: [f64; 2]) -> Self {
-        const DEPTHS: u32 = 5;
-        let [columns, rows] = GRID;
-        let points_in_color = (0..rows * columns)
-            .map(|cell| {
-                let (column, row) = (cell % columns, cell / columns);
-                let x = (f64::from(column) + 0.5) / f64::from(columns) * f64::from(camera.width);
-                let y = (f64::from(row) + 0.5) / f64::from(rows) * f64::from(camera.height);
-                let share = f64::from((column * 3 + row * 2) % DEPTHS) / f64::from(DEPTHS - 1);
-                Point3::from(camera.unproject(&Pixel::new(x, y)) * (near_m * (far_m / near_m).powf(share)))
-            })
-            .collect();
-        PredictedView { base_from_color, points_in_color }
+    pub fn from_assumed_depth(base_from_color: Isometry3, camera: &PinholeCamera, range_m: [f64; 2]) -> Self {
+        PredictedView { base_from_color, points_in_color: assumed_points(camera, range_m, GRID) }
     }
+}
+
+/// What a depth image measured on a grid of columns and rows, in the colour camera's frame.
+pub(crate) fn measured_points(depth: &DepthImage, camera: &DepthCamera, [columns, rows]: [u32; 2]) -> Vec<Point3> {
+    let mut points_in_color = Vec::new();
+    for row in 0..rows {
+        for column in 0..columns {
+            let x = (2 * column + 1) * depth.width() / (2 * columns);
+            let y = (2 * row + 1) * depth.height() / (2 * rows);
+            if let Some(z) = depth.at(x, y) {
+                points_in_color.push(camera.point_in_color(&Pixel::new(f64::from(x), f64::from(y)), f64::from(z)));
+            }
+        }
+    }
+    points_in_color
+}
+
+/// Points of a grid of rays, each at one of several depths in turn.
+pub(crate) fn assumed_points(
+    camera: &PinholeCamera,
+    [near_m, far_m]: [f64; 2],
+    [columns, rows]: [u32; 2],
+) -> Vec<Point3> {
+    const DEPTHS: u32 = 5;
+    (0..rows * columns)
+        .map(|cell| {
+            let (column, row) = (cell % columns, cell / columns);
+            let x = (f64::from(column) + 0.5) / f64::from(columns) * f64::from(camera.width);
+            let y = (f64::from(row) + 0.5) / f64::from(rows) * f64::from(camera.height);
+            let share = f64::from((column * 3 + row * 2) % DEPTHS) / f64::from(DEPTHS - 1);
+            Point3::from(camera.unproject(&Pixel::new(x, y)) * (near_m * (far_m / near_m).powf(share)))
+        })
+        .collect()
 }
 
 /// Two images that are to be matched.
@@ -132,20 +142,24 @@ fn predicted_overlap(a: &PredictedView, b: &PredictedView, camera: &PinholeCamer
         return 0.0;
     }
     let b_from_a = b.base_from_color.inverse() * a.base_from_color;
-    let max_cosine = options.max_view_angle_deg.to_radians().cos();
-    let shared = a
-        .points_in_color
-        .iter()
-        .filter(|point_in_a| {
-            let point_in_b = b_from_a * **point_in_a;
-            let inside = camera.project(&point_in_b).is_some_and(|pixel| camera.contains(&pixel));
-            let direction_in_b = b_from_a.rotation * point_in_a.coords.normalize();
-            // Scale matters as well: at twice the distance a keypoint lies an octave away.
-            let ratio = point_in_b.coords.norm() / point_in_a.coords.norm();
-            inside && direction_in_b.dot(&point_in_b.coords.normalize()) > max_cosine && (0.4..2.5).contains(&ratio)
-        })
-        .count();
+    let shared = a.points_in_color.iter().filter(|point| shown_to(point, &b_from_a, camera, options).is_some()).count();
     shared as f64 / a.points_in_color.len() as f64
+}
+
+/// Where image B should show a point of image A, if that lies inside it and looks much the same from there; and the point in B's camera.
+pub(crate) fn shown_to(
+    point_in_a: &Point3,
+    b_from_a: &Isometry3,
+    camera: &PinholeCamera,
+    options: &PairingOptions,
+) -> Option<(Pixel, Point3)> {
+    let point_in_b = b_from_a * point_in_a;
+    let pixel = camera.project(&point_in_b).filter(|pixel| camera.contains(pixel))?;
+    let direction_in_b = b_from_a.rotation * point_in_a.coords.normalize();
+    // Scale matters as well: at twice the distance a keypoint lies an octave away.
+    let ratio = point_in_b.coords.norm() / point_in_a.coords.norm();
+    let alike = direction_in_b.dot(&point_in_b.coords.normalize()) > options.max_view_angle_deg.to_radians().cos();
+    (alike && (0.4..2.5).contains(&ratio)).then_some((pixel, point_in_b))
 }
 
 #[cfg(test)]

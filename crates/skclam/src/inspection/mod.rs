@@ -1,9 +1,14 @@
 //! A dataset judged before any calibration: how the joints are covered, how sharp and how well exposed the images are,
-//! which postures should see the same, and what is likely to go wrong.
+//! which postures should see the same, how well each parameter can be told from them, and what is likely to go wrong.
+
+mod expected;
+
+pub use expected::{ExpectedParameter, ExpectedSigmaOptions, ExpectedSigmas, JointToMove};
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::pipeline::{ImagePair, PairingOptions, PredictedView, choose_pairs};
 use crate::progress::{Progress, Stage};
+use expected::{Predicted, expected_sigmas};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
@@ -28,6 +33,8 @@ pub struct InspectionOptions {
     pub max_clipped: f64,
     /// A depth image with a smaller share of measured pixels is a poor one.
     pub min_depth_share: f64,
+    /// Prediction of how well the parameters can be told.
+    pub expected: ExpectedSigmaOptions,
 }
 
 impl Default for InspectionOptions {
@@ -40,6 +47,7 @@ impl Default for InspectionOptions {
             min_relative_sharpness: 0.4,
             max_clipped: 0.25,
             min_depth_share: 0.3,
+            expected: ExpectedSigmaOptions::default(),
         }
     }
 }
@@ -91,6 +99,8 @@ pub struct Inspection {
     pub pairs: Vec<ImagePair>,
     /// Groups of postures that no pair connects, the largest first: each is its own island.
     pub groups: Vec<Vec<usize>>,
+    /// How well each parameter can be told from these postures; `null` where they cannot be calibrated with at all.
+    pub expected: Option<ExpectedSigmas>,
     /// What a person should hear of, each with advice.
     pub warnings: Vec<String>,
 }
@@ -117,7 +127,7 @@ pub fn inspect(
     progress: &dyn Progress,
 ) -> Result<Inspection, InspectionError> {
     progress.begin(Stage::Inspect, dataset.len() as u64);
-    let looked: Vec<(ImageJudgement, PredictedView)> = (0..dataset.len())
+    let looked: Vec<(ImageJudgement, PredictedView, Predicted)> = (0..dataset.len())
         .into_par_iter()
         .map(|position| {
             if progress.stop_requested() {
@@ -128,12 +138,25 @@ pub fn inspect(
             Ok(looked)
         })
         .collect::<Result<_, InspectionError>>()?;
-    let (images, views): (Vec<ImageJudgement>, Vec<PredictedView>) = looked.into_iter().unzip();
+    let mut images = Vec::with_capacity(looked.len());
+    let (mut views, mut predicted) = (Vec::with_capacity(looked.len()), Vec::with_capacity(looked.len()));
+    for (image, view, sights) in looked {
+        images.push(image);
+        views.push(view);
+        predicted.push(sights);
+    }
     let pairs = choose_pairs(&views, &dataset.rig.color, &options.pairing);
     let groups = groups(dataset.len(), &pairs, options.pairing.min_overlap);
     let joints = coverage(dataset);
-    let mut inspection = Inspection { postures: dataset.len(), joints, images, pairs, groups, warnings: vec![] };
+    let expected = expected_sigmas(dataset, &predicted, &pairs, &joints, &options.pairing, &options.expected);
+    let (expected, impossible) = match expected {
+        Ok(expected) => (Some(expected), None),
+        Err(error) => (None, Some(format!("with these postures nothing can be calibrated: {error}"))),
+    };
+    let mut inspection =
+        Inspection { postures: dataset.len(), joints, images, pairs, groups, expected, warnings: vec![] };
     inspection.warnings = warnings(dataset, &inspection, options);
+    inspection.warnings.extend(impossible);
     Ok(inspection)
 }
 
@@ -141,12 +164,15 @@ fn look(
     dataset: &Dataset,
     position: usize,
     options: &InspectionOptions,
-) -> Result<(ImageJudgement, PredictedView), InspectionError> {
+) -> Result<(ImageJudgement, PredictedView, Predicted), InspectionError> {
     let record = &dataset.records[position];
     let gray = dataset.gray(position)?;
     let base_from_color = dataset.rig.base_from_color(&record.posture)?;
     let (mut depth_share, mut median_depth_m) = (None, None);
-    let view = match (dataset.depth(position)?, &dataset.rig.depth) {
+    let depth = dataset.depth(position)?;
+    let assumed_depth_m = options.pairing.assumed_depth_m;
+    let sights = Predicted::new(base_from_color, depth.as_ref(), &dataset.rig, &options.expected, assumed_depth_m);
+    let view = match (depth, &dataset.rig.depth) {
         (Some(depth), Some(camera)) => {
             let mut measured: Vec<f32> = depth.as_slice().iter().copied().filter(|&z| z > 0.0).collect();
             depth_share = Some(measured.len() as f64 / depth.as_slice().len().max(1) as f64);
@@ -156,7 +182,7 @@ fn look(
             }
             PredictedView::from_depth(base_from_color, &depth, camera)
         }
-        _ => PredictedView::from_assumed_depth(base_from_color, &dataset.rig.color, options.pairing.assumed_depth_m),
+        _ => PredictedView::from_assumed_depth(base_from_color, &dataset.rig.color, assumed_depth_m),
     };
     let judgement = ImageJudgement {
         index: record.posture.index,
@@ -166,7 +192,7 @@ fn look(
         depth_share,
         median_depth_m,
     };
-    Ok((judgement, view))
+    Ok((judgement, view, sights))
 }
 
 fn coverage(dataset: &Dataset) -> Vec<JointCoverage> {
@@ -232,6 +258,18 @@ fn warnings(dataset: &Dataset, inspection: &Inspection, options: &InspectionOpti
     }
     if inspection.joints.is_empty() {
         warnings.push("only flange poses are known: the mount can be calibrated, the arm cannot".to_owned());
+    }
+    if let Some(expected) = &inspection.expected {
+        warnings.extend(expected.joints_to_move.iter().map(|joint| {
+            format!(
+                "joint {} should move more: {:.1} {} leave {} unknown",
+                joint.joint,
+                joint.range,
+                joint.unit,
+                joint.parameters.join(", ")
+            )
+        }));
+        warnings.extend(expected.not_identifiable.iter().map(|reason| format!("not identifiable: {reason}")));
     }
     for joint in &inspection.joints {
         let (range, least) = (
@@ -333,6 +371,9 @@ mod tests {
         assert_eq!((good.postures, good.joints.len(), good.images.len()), (48, 6, 48));
         assert!(good.pairs.len() > 96 && good.groups[0].len() > 40, "{:?}", good.groups);
         assert!(good.images.iter().all(|image| image.median_depth_m.is_some_and(|z| (0.1..3.0).contains(&z))));
+        let expected = good.expected.as_ref().unwrap();
+        assert!(expected.rank == expected.free && expected.joints_to_move.is_empty(), "{expected:?}");
+        assert!((0.005..0.3).contains(&expected.camera_sigma_mm.mean), "{expected:?}");
         dataset.records.truncate(3);
         let bad = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
         assert!(bad.warnings.iter().any(|warning| warning.starts_with("3 postures; 30 or more")), "{:?}", bad.warnings);

@@ -1,0 +1,202 @@
+//! What a calibration can be expected to tell, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
+//!
+//! The information about the parameters does not depend on what was measured, only on where the measurements are made. So sights predicted
+//! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
+
+use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::observations::Observations;
+use crate::bundle::start::triangulate_all;
+use crate::bundle::state::NoiseScales;
+use crate::motion::Motion;
+use crate::pose_covariance::spread_to_poses;
+use crate::prior::{self, Priors};
+use crate::uncertainty::{Told, tell};
+use crate::{
+    CalibrationError, Correspondences, Free, Identifiability, Loss, Model, ParameterEstimate, PoseCovariance,
+    PriorPolicy,
+};
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use skclam_rig::Rig;
+
+/// What is expected of the measurements, and what is to be calibrated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExpectationOptions {
+    /// What is free.
+    pub free: Free,
+    /// Which priors are heard.
+    pub priors: PriorPolicy,
+    /// Sigma of a pixel coordinate whose covariance is the unit matrix, px.
+    pub pixel_sigma: f64,
+    /// `s` of `sigma = s z^2` of the measured depth, 1/m.
+    pub depth_sigma_per_m: f64,
+    /// Sigma of what joints stand off their values where the rig does not tell, degrees; 0 for none.
+    pub joint_deviation_deg: f64,
+    /// Unknown deviations at most; beyond, they are taken as zero.
+    pub max_deviations: usize,
+}
+
+impl Default for ExpectationOptions {
+    /// Refined matches, a stereo depth camera, an industrial arm.
+    fn default() -> Self {
+        ExpectationOptions {
+            free: Free::Auto,
+            priors: PriorPolicy::Auto,
+            pixel_sigma: 0.2,
+            depth_sigma_per_m: 3e-3,
+            joint_deviation_deg: 3e-3,
+            max_deviations: 1200,
+        }
+    }
+}
+
+/// What a calibration can be expected to tell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExpectedCalibration {
+    /// The free parameters; `value` is the nominal one.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Covariance of the free parameters in their order and units, the data and the priors together.
+    pub covariance: DMatrix<f64>,
+    /// What the data can tell.
+    pub identifiability: Identifiability,
+    /// Covariances of flange and camera, one a posture of the data.
+    pub poses: Vec<PoseCovariance>,
+}
+
+/// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board corners as the nominal
+/// rig would see them; pairs are not heard. Nothing is solved. Fails where `data` are malformed, or are fewer than the free parameters.
+pub fn expected_calibration(
+    nominal: &Rig,
+    data: &Correspondences,
+    options: &ExpectationOptions,
+) -> Result<ExpectedCalibration, CalibrationError> {
+    data.check()?;
+    for (name, value) in [("pixel_sigma", options.pixel_sigma), ("depth_sigma_per_m", options.depth_sigma_per_m)] {
+        if !(value > 0.0 && value.is_finite()) {
+            return Err(CalibrationError::Option { name, value: value.to_string(), expected: "it must be above zero" });
+        }
+    }
+    let motion = Motion::new(nominal, &data.postures)?;
+    let mut observations = Observations::new(nominal, data, &|_| true, &mut Vec::new())?;
+    let parameters = options.free.candidates(nominal, motion.has_joints(), observations.depth_count() > 0)?;
+    if parameters.is_empty() {
+        return Err(CalibrationError::NothingFree);
+    }
+    let deviation = nominal.prior.joint_deviation_deg.unwrap_or(options.joint_deviation_deg).to_radians();
+    let joints = if motion.has_joints() { nominal.robot.as_ref().map_or(0, |robot| robot.joint_count()) } else { 0 };
+    let heard = deviation > 0.0 && joints * motion.len() <= options.max_deviations;
+    let deviations = if heard { vec![0.0; joints * motion.len()] } else { Vec::new() };
+    let noise = NoiseScales {
+        pixel: options.pixel_sigma,
+        depth: options.depth_sigma_per_m,
+        deviation: if heard { deviation } else { 1.0 },
+    };
+    let priors = Priors { sigmas: prior::sigmas(nominal, &options.free, options.priors, &parameters) };
+    let model = Model::new(nominal.clone());
+    let mut state = posed_state(&model, deviations, &motion, &observations, &noise, Loss::Squared)?;
+    let points = triangulate_all(&observations, &state.view(&noise, Loss::Squared), None);
+    observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
+    state.points = points.into_iter().flatten().collect();
+    let residuals = 2 * observations.sightings.len() + observations.depth_count() + 2 * observations.corners.len();
+    let got =
+        residuals.saturating_sub(3 * observations.track_count() + 6 * usize::from(!observations.corners.is_empty()));
+    let need = 2 * parameters.len();
+    if got < need {
+        let what = "residuals of tracks and board corners (beyond those that their own points take)".to_owned();
+        return Err(CalibrationError::TooFew { what, need, got, parameters: parameters.len() });
+    }
+    let adjustment = Adjustment {
+        nominal,
+        motion: &motion,
+        observations: &observations,
+        parameters: &parameters,
+        priors: &priors,
+        loss: Loss::Squared,
+        noise,
+    };
+    let information = marginal(&adjustment.information(&state)?, parameters.len());
+    let Told { covariance, identifiability, parameters: estimates } =
+        tell(nominal, &model, &data.postures, &parameters, &priors, &information, 1.0);
+    let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
+    Ok(ExpectedCalibration { parameters: estimates, covariance, identifiability, poses })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::{
+        Errors, Sensing, diverse_postures, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
+    };
+    use crate::{BundleOptions, DeviationPolicy, calibrate_bundle};
+    use skclam_rig::{Posture, PostureState};
+
+    /// Tracks as the nominal rig sees them.
+    fn predicted(postures: &[Posture], points: usize) -> Correspondences {
+        let exact = Sensing { sigma_px: 0.0, depth_relative: Some(0.0), ..half_pixel() };
+        let mut rng = seeded(8);
+        let rig = perturbed(&hp3j(), &Free::Auto, nothing(), &mut rng);
+        record(&rig, postures, &room(points, &mut rng), exact, &mut rng)
+    }
+
+    fn nothing() -> Errors {
+        Errors { angle: 0.0, length: 0.0, mount_angle: 0.0, mount_length: 0.0, fixed_size: false }
+    }
+
+    #[test]
+    fn what_is_expected_is_what_a_calibration_reports() {
+        let mut rng = seeded(5);
+        let postures = diverse_postures(&hp3j(), 24, &mut rng);
+        let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
+        // Two rooms with as many points, but not the same.
+        let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
+        let data = record(&truth, &postures, &room(1000, &mut rng), sensing, &mut rng);
+        let fitted =
+            calibrate_bundle(&hp3j(), &data, &BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() })
+                .unwrap();
+        let mut views = predicted(&postures, 1000);
+        views.tracks.iter_mut().flat_map(|track| &mut track.observations).for_each(|sight| sight.depth_m = None);
+        let options = ExpectationOptions { pixel_sigma: 0.5, joint_deviation_deg: 0.0, ..Default::default() };
+        let expected = expected_calibration(&hp3j(), &views, &options).unwrap();
+        assert_eq!(expected.parameters.len(), fitted.parameters.len());
+        for (expected, fitted) in expected.parameters.iter().zip(&fitted.parameters) {
+            let ratio = expected.sigma.unwrap() / fitted.sigma.unwrap();
+            assert!((0.6..1.7).contains(&ratio), "{}: {expected:?} {fitted:?}", fitted.parameter);
+        }
+        let twice = ExpectationOptions { pixel_sigma: 1.0, priors: PriorPolicy::Never, ..options.clone() };
+        let alone = ExpectationOptions { priors: PriorPolicy::Never, ..options };
+        let [twice, alone] = [twice, alone].map(|options| expected_calibration(&hp3j(), &views, &options).unwrap());
+        for (twice, alone) in twice.parameters.iter().zip(&alone.parameters) {
+            if let (Some(twice), Some(one)) = (twice.sigma, alone.sigma) {
+                assert!((twice / one - 2.0).abs() < 1e-6, "{}: noise and sigma are proportional", alone.parameter);
+            }
+        }
+    }
+
+    #[test]
+    fn a_joint_that_stands_still_is_named() {
+        let mut postures = diverse_postures(&hp3j(), 24, &mut seeded(5));
+        for posture in &mut postures {
+            if let PostureState::Joints(values) = &mut posture.state {
+                values[4] = 0.4;
+            }
+        }
+        let expected = expected_calibration(&hp3j(), &predicted(&postures, 1000), &Default::default()).unwrap();
+        let reasons: Vec<&str> = expected.identifiability.unseen.iter().map(|unseen| unseen.reason.as_str()).collect();
+        assert!(reasons.iter().any(|reason| reason.starts_with("joint 5 moved by only 0.0 deg")), "{reasons:?}");
+        assert!(expected.parameters.iter().any(|parameter| parameter.note.is_some()));
+        assert_eq!(expected.poses.len(), 24);
+    }
+
+    #[test]
+    fn nothing_seen_and_noise_that_is_none_are_refused() {
+        let postures = diverse_postures(&hp3j(), 5, &mut seeded(5));
+        let blind = Correspondences { postures: postures.clone(), ..Default::default() };
+        let message = |data: &Correspondences, options: &ExpectationOptions| {
+            expected_calibration(&hp3j(), data, options).unwrap_err().to_string()
+        };
+        assert!(message(&blind, &Default::default()).contains("0 usable residuals"));
+        let options = ExpectationOptions { pixel_sigma: f64::NAN, ..Default::default() };
+        assert!(message(&predicted(&postures, 300), &options).contains("pixel_sigma"));
+    }
+}

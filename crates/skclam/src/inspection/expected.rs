@@ -1,0 +1,291 @@
+//! How well the arm can be calibrated with these postures: sights that the nominal rig predicts, and the covariance that they would give.
+//!
+//! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should be matched with it,
+//! as long as they lie inside, are not hidden there and look alike. Board corners are not predicted: a board can only make it better.
+
+use crate::dataset::Dataset;
+use crate::evaluation::Statistics;
+use crate::pipeline::{ImagePair, PairingOptions, assumed_points, measured_points, shown_to};
+use crate::summary::file_unit;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use skclam_calibration::{
+    CalibrationError, Correspondences, ExpectationOptions, ExpectedCalibration, Parameter, ParameterEstimate, Track,
+    TrackObservation, default_sigma, expected_calibration, isotropic_covariance, orientation_sigma_rad,
+    position_sigma_m,
+};
+use skclam_geometry::{DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
+use skclam_rig::Rig;
+
+use super::JointCoverage;
+
+/// What is predicted of images that have not been matched.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExpectedSigmaOptions {
+    /// Points of the grid on each image, columns and rows.
+    pub grid: [u32; 2],
+    /// Images that show a point, at most: the one of the grid and some of its partners in turn.
+    pub sights_per_point: usize,
+    /// Noise, priors and what is free.
+    pub expectation: ExpectationOptions,
+    /// A revolute joint that turned by less is named where a parameter stays unknown, degrees.
+    pub ample_joint_range_deg: f64,
+    /// A prismatic one that slid by less, millimetres.
+    pub ample_joint_range_mm: f64,
+}
+
+impl Default for ExpectedSigmaOptions {
+    /// As many sights an image as the pipeline finds in a textured cell.
+    fn default() -> Self {
+        ExpectedSigmaOptions {
+            grid: [28, 18],
+            sights_per_point: 3,
+            expectation: ExpectationOptions::default(),
+            ample_joint_range_deg: 45.0,
+            ample_joint_range_mm: 150.0,
+        }
+    }
+}
+
+/// What a calibration with these postures should reach.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ExpectedSigmas {
+    /// Points that were followed.
+    pub points: usize,
+    /// Sights of them.
+    pub sights: usize,
+    /// Sigma of a pixel coordinate that was assumed, px.
+    pub pixel_sigma: f64,
+    /// `s` of the depth noise `s z^2` that was assumed, 1/m; `null` without depth.
+    pub depth_sigma_per_m: Option<f64>,
+    /// Each free parameter.
+    pub parameters: Vec<ExpectedParameter>,
+    /// Number of free parameters.
+    pub free: usize,
+    /// How many combinations of them the postures can tell.
+    pub rank: usize,
+    /// Greatest over smallest singular value of what is seen.
+    pub condition_number: Option<f64>,
+    /// What cannot be told, and why, in words.
+    pub not_identifiable: Vec<String>,
+    /// Standard deviation of the camera's position over the postures, mm.
+    pub camera_sigma_mm: Statistics,
+    /// Standard deviation of its orientation, degrees.
+    pub camera_sigma_deg: Statistics,
+    /// Joints that should move more.
+    pub joints_to_move: Vec<JointToMove>,
+}
+
+/// What is expected of a parameter.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ExpectedParameter {
+    /// "alpha_2".
+    pub name: String,
+    /// Expected standard deviation in `unit`; `null` where the postures do not tell.
+    pub sigma: Option<f64>,
+    /// "deg", "mm", "px" or "" (no unit).
+    pub unit: &'static str,
+    /// Why there is no sigma.
+    pub note: Option<String>,
+}
+
+/// A joint whose little motion leaves parameters unknown.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JointToMove {
+    /// The joint's name.
+    pub joint: String,
+    /// By how much it moved.
+    pub range: f64,
+    /// "deg" or "mm".
+    pub unit: &'static str,
+    /// What would be known better.
+    pub parameters: Vec<String>,
+}
+
+/// What is kept of an image to predict sights.
+pub(super) struct Predicted {
+    base_from_color: Isometry3,
+    points_in_color: Vec<Point3>,
+    surface: Option<Surface>,
+}
+
+/// The nearest depth in each cell of the colour image.
+struct Surface {
+    nearest_m: Vec<f32>,
+}
+
+/// Cells of a [`Surface`].
+const CELLS: [usize; 2] = [40, 25];
+/// What lies so much behind the nearest surface of its cell is hidden; a slanted surface alone reaches 7 %.
+const HIDDEN: f64 = 1.1;
+
+impl Surface {
+    fn new(depth: &DepthImage, rig: &Rig) -> Option<Self> {
+        let camera = rig.depth.as_ref()?;
+        let mut nearest_m = vec![f32::INFINITY; CELLS[0] * CELLS[1]];
+        let stride = (depth.width() / 160).max(1) as usize;
+        for y in (0..depth.height()).step_by(stride) {
+            for x in (0..depth.width()).step_by(stride) {
+                let Some(z) = depth.at(x, y) else { continue };
+                let point = camera.point_in_color(&Pixel::new(f64::from(x), f64::from(y)), f64::from(z));
+                if let Some(cell) = rig.color.project(&point).and_then(|pixel| cell(&rig.color, &pixel)) {
+                    nearest_m[cell] = nearest_m[cell].min(point.z as f32);
+                }
+            }
+        }
+        Some(Surface { nearest_m })
+    }
+
+    fn hides(&self, camera: &PinholeCamera, pixel: &Pixel, z: f64) -> bool {
+        cell(camera, pixel).is_some_and(|cell| z > HIDDEN * f64::from(self.nearest_m[cell]))
+    }
+}
+
+fn cell(camera: &PinholeCamera, pixel: &Pixel) -> Option<usize> {
+    let at = |value: f64, size: u32, cells: usize| ((value + 0.5) / f64::from(size) * cells as f64) as usize;
+    camera.contains(pixel).then(|| {
+        let column = at(pixel.x, camera.width, CELLS[0]).min(CELLS[0] - 1);
+        let row = at(pixel.y, camera.height, CELLS[1]).min(CELLS[1] - 1);
+        row * CELLS[0] + column
+    })
+}
+
+impl Predicted {
+    pub(super) fn new(
+        base_from_color: Isometry3,
+        depth: Option<&DepthImage>,
+        rig: &Rig,
+        options: &ExpectedSigmaOptions,
+        assumed_depth_m: [f64; 2],
+    ) -> Self {
+        let (points_in_color, surface) = match (depth, &rig.depth) {
+            (Some(depth), Some(camera)) => (measured_points(depth, camera, options.grid), Surface::new(depth, rig)),
+            _ => (assumed_points(&rig.color, assumed_depth_m, options.grid), None),
+        };
+        Predicted { base_from_color, points_in_color, surface }
+    }
+}
+
+/// What a calibration of this data set should reach, by its nominal rig.
+pub(super) fn expected_sigmas(
+    dataset: &Dataset,
+    views: &[Predicted],
+    pairs: &[ImagePair],
+    joints: &[JointCoverage],
+    pairing: &PairingOptions,
+    options: &ExpectedSigmaOptions,
+) -> Result<ExpectedSigmas, CalibrationError> {
+    let rig = &dataset.rig;
+    let postures = dataset.records.iter().map(|record| record.posture.clone()).collect();
+    let tracks = predicted_tracks(views, pairs, &rig.color, pairing, options.sights_per_point);
+    let data = Correspondences { postures, tracks, ..Default::default() };
+    let expected = expected_calibration(rig, &data, &options.expectation)?;
+    let over = |value: &dyn Fn(&skclam_calibration::PoseCovariance) -> f64| {
+        Statistics::of(&expected.poses.iter().map(value).collect::<Vec<_>>())
+    };
+    let has_depth = views.iter().any(|view| view.surface.is_some());
+    Ok(ExpectedSigmas {
+        points: data.tracks.len(),
+        sights: data.observation_count(),
+        pixel_sigma: options.expectation.pixel_sigma,
+        depth_sigma_per_m: has_depth.then_some(options.expectation.depth_sigma_per_m),
+        parameters: expected.parameters.iter().map(ExpectedParameter::of).collect(),
+        free: expected.parameters.len(),
+        rank: expected.identifiability.rank,
+        condition_number: Some(expected.identifiability.condition_number).filter(|number| number.is_finite()),
+        not_identifiable: expected.identifiability.unseen.iter().map(|unseen| unseen.reason.clone()).collect(),
+        camera_sigma_mm: over(&|pose| 1e3 * position_sigma_m(&pose.camera)),
+        camera_sigma_deg: over(&|pose| orientation_sigma_rad(&pose.camera).to_degrees()),
+        joints_to_move: joints_to_move(rig, &expected, joints, options),
+    })
+}
+
+/// Each image's points and where its partners show them.
+fn predicted_tracks(
+    views: &[Predicted],
+    pairs: &[ImagePair],
+    camera: &PinholeCamera,
+    pairing: &PairingOptions,
+    sights_per_point: usize,
+) -> Vec<Track> {
+    let mut partners: Vec<Vec<usize>> = vec![vec![]; views.len()];
+    for pair in pairs {
+        partners[pair.a].push(pair.b);
+        partners[pair.b].push(pair.a);
+    }
+    let of_view = |a: usize| -> Vec<Track> {
+        let from = &views[a];
+        let depth_of = |posture: usize, point: &Point3| views[posture].surface.as_ref().map(|_| point.z);
+        let sight = |posture: usize, pixel: Pixel, point: &Point3| TrackObservation {
+            posture,
+            pixel,
+            covariance: isotropic_covariance(1.0),
+            depth_m: depth_of(posture, point),
+        };
+        let others: Vec<(usize, Isometry3)> =
+            partners[a].iter().map(|&b| (b, views[b].base_from_color.inverse() * from.base_from_color)).collect();
+        let follow = |(number, point): (usize, &Point3)| {
+            let own = camera.project(point).filter(|pixel| camera.contains(pixel))?;
+            let mut observations = vec![sight(a, own, point)];
+            for step in 0..others.len() {
+                if observations.len() >= sights_per_point {
+                    break;
+                }
+                // In turn, so that no partner is preferred.
+                let (b, b_from_a) = &others[(number + step) % others.len()];
+                let Some((pixel, in_b)) = shown_to(point, b_from_a, camera, pairing) else { continue };
+                if !views[*b].surface.as_ref().is_some_and(|surface| surface.hides(camera, &pixel, in_b.z)) {
+                    observations.push(sight(*b, pixel, &in_b));
+                }
+            }
+            (observations.len() > 1).then_some(Track { observations })
+        };
+        from.points_in_color.iter().enumerate().filter_map(follow).collect()
+    };
+    (0..views.len()).into_par_iter().map(of_view).collect::<Vec<_>>().concat()
+}
+
+impl ExpectedParameter {
+    fn of(estimate: &ParameterEstimate) -> Self {
+        let (factor, unit) = file_unit(estimate.parameter.unit());
+        ExpectedParameter {
+            name: estimate.parameter.to_string(),
+            sigma: estimate.sigma.map(|sigma| sigma * factor),
+            unit,
+            note: estimate.note.clone(),
+        }
+    }
+}
+
+/// Parameters that the postures tell badly blame the joint beside them that moved least, unless that moved amply.
+fn joints_to_move(
+    rig: &Rig,
+    expected: &ExpectedCalibration,
+    joints: &[JointCoverage],
+    options: &ExpectedSigmaOptions,
+) -> Vec<JointToMove> {
+    let share = |joint: &JointCoverage| {
+        let ample = if joint.unit == "deg" { options.ample_joint_range_deg } else { options.ample_joint_range_mm };
+        (joint.max - joint.min) / ample
+    };
+    let mut blamed: Vec<Vec<String>> = vec![vec![]; joints.len()];
+    for estimate in &expected.parameters {
+        let Parameter::Chain(id) = estimate.parameter else { continue };
+        // Half of what the maker's tolerance says already is no calibration.
+        let known = estimate.sigma.is_some_and(|sigma| sigma < 0.5 * default_sigma(rig, estimate.parameter));
+        let beside = id.joint.saturating_sub(1)..(id.joint + 2).min(joints.len());
+        let least = beside.min_by(|&a, &b| share(&joints[a]).total_cmp(&share(&joints[b])).then(a.cmp(&b)));
+        if let Some(joint) = least.filter(|&joint| !known && share(&joints[joint]) < 1.0) {
+            blamed[joint].push(estimate.parameter.to_string());
+        }
+    }
+    let told = joints.iter().zip(blamed).filter(|(_, parameters)| !parameters.is_empty());
+    told.map(|(joint, parameters)| JointToMove {
+        joint: joint.joint.clone(),
+        range: joint.max - joint.min,
+        unit: joint.unit,
+        parameters,
+    })
+    .collect()
+}
