@@ -68,7 +68,8 @@ pub(super) fn first_pass(
         MessageKind::PoseLine if wants_joints => Wanted::Whole,
         MessageKind::Transforms if topic.name.ends_with("tf_static") => Wanted::Whole,
         MessageKind::Transform => Wanted::Whole,
-        MessageKind::Float32 if topic.name.contains("Depth_Units") => Wanted::Whole,
+        // With a space in the Viewer's own files, with an underscore where they were converted.
+        MessageKind::Float32 if topic.name.replace(' ', "_").ends_with("/option/Depth_Units/value") => Wanted::Whole,
         _ => Wanted::Nothing,
     };
     recording.scan(false, &mut want, &mut |topic, message| {

@@ -379,4 +379,21 @@ mod tests {
         assert!(bad.warnings.iter().any(|warning| warning.starts_with("3 postures; 30 or more")), "{:?}", bad.warnings);
         assert!(bad.warnings.len() > good.warnings.len());
     }
+
+    #[test]
+    fn a_joint_that_stands_still_is_named_before_any_calibration() {
+        let Some(mut dataset) = shared("virtual-cell") else { return };
+        for record in &mut dataset.records {
+            if let PostureState::Joints(values) = &mut record.posture.state {
+                values[4] = 0.6;
+            }
+        }
+        let still = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
+        let expected = still.expected.unwrap();
+        assert!(expected.rank < expected.free, "{expected:?}");
+        let named: Vec<&str> = expected.joints_to_move.iter().map(|joint| joint.joint.as_str()).collect();
+        assert_eq!(named, [still.joints[4].joint.as_str()], "{expected:?}");
+        assert!(expected.not_identifiable.iter().any(|reason| reason.contains("joint 5")), "{expected:?}");
+        assert!(still.warnings.iter().any(|warning| warning.contains("should move more")), "{:?}", still.warnings);
+    }
 }
