@@ -53,7 +53,11 @@ impl TumFolder {
             MessageKind::ImageFile => self.folder.join(&entry.text),
             _ => self.folder.join("groundtruth.txt"),
         };
-        visit(entry, offset, &path, visitor).map_err(|problem| problem.at(&path, 0))
+        visit(entry, offset, &path, visitor).map_err(|problem| match problem.at(&path, 0) {
+            // Here a message is a file, and that is what a person looks for.
+            RecordingError::Message { problem, .. } => RecordingError::Format { path, problem },
+            other => other,
+        })
     }
 }
 
@@ -154,6 +158,20 @@ mod tests {
         for bad in ["", "-1.0", "1e3", "a", "1.2.3", "99999999999999"] {
             assert_eq!(nanoseconds(bad), None, "{bad}");
         }
+    }
+
+    #[test]
+    fn a_damaged_image_is_named() {
+        use crate::{ColorPixels, Recording};
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("rgb.txt"), "1.0 first.png\n").unwrap();
+        std::fs::write(folder.path().join("first.png"), "no image").unwrap();
+        let mut recording = Recording::open(folder.path()).unwrap();
+        let read = recording.scan(false, &mut |_, _| Wanted::Whole, &mut |topic, message| {
+            ColorPixels::from_file(&topic.name, message.data).map(drop)
+        });
+        let error = read.unwrap_err().to_string();
+        assert!(error.contains("first.png: ") && error.contains("neither JPEG nor PNG"), "{error}");
     }
 
     #[test]
