@@ -67,8 +67,8 @@ mod tests {
     fn the_statistics_are_those_of_the_residuals() {
         let truth = hp3j();
         let mut rng = seeded(3);
-        let postures = diverse_postures(&truth, 6, &mut rng);
-        let pairs = fresh_pairs(&truth, &postures, &neighbours(6), 20, half_pixel(), &mut rng);
+        let postures = diverse_postures(&truth, 24, &mut rng);
+        let pairs = fresh_pairs(&truth, &postures, &neighbours(24), 20, half_pixel(), &mut rng);
         let data = Correspondences { postures, pairs, ..Default::default() };
         let model = Model::new(truth);
         let mut lengths: Vec<f64> = epipolar_residuals(&model, &data)
@@ -78,6 +78,7 @@ mod tests {
             .flatten()
             .flat_map(|residual| [residual.in_a.norm(), residual.in_b.norm()])
             .collect();
+        assert!(lengths.len() > 100, "{} residuals", lengths.len());
         let statistics = epipolar_statistics(&model, &data).unwrap();
         let rms = (lengths.iter().map(|d| d * d).sum::<f64>() / lengths.len() as f64).sqrt();
         assert!((rms - statistics.rms_px).abs() < 1e-9 * rms, "{rms} {}", statistics.rms_px);
