@@ -12,6 +12,7 @@ use skclam_recordings::{
 };
 use std::io::Write;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 fn count() -> u64 {
@@ -20,6 +21,8 @@ fn count() -> u64 {
 
 /// No input of some kilobytes may take longer.
 const MOST_TIME: Duration = Duration::from_secs(5);
+/// After so long an input is taken to hang: the watchdog keeps it and ends the process.
+const HANGS: Duration = Duration::from_secs(10);
 /// The largest resident set of the test process, MiB: two messages, a decompressor's window, the harness.
 const MOST_MEMORY_MIB: f64 = 400.0;
 
@@ -238,7 +241,16 @@ fn read_all(path: &Path) -> Result<usize, String> {
     let mut decoded = 0;
     let read = recording.read(&places, &mut |topic, message| {
         let name = &topic.name;
-        let Some(wire) = topic.wire else { return Ok(()) };
+        let Some(wire) = topic.wire else {
+            decoded += usize::from(match topic.kind {
+                MessageKind::PoseLine => std::str::from_utf8(message.data).is_ok(),
+                _ => {
+                    DepthPixels::from_file(name, message.data).is_ok()
+                        || ColorPixels::from_file(name, message.data).is_ok()
+                }
+            });
+            return Ok(());
+        };
         let fine = match topic.kind {
             MessageKind::Image => match Image::parse(name, wire, message.data) {
                 Ok(image) => {
@@ -312,7 +324,72 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("lz4.mcap", mcap("lz4", true)),
         ("zstd.mcap", mcap("zstd", true)),
         ("seed.db3", database()),
+        ("folder.tum", tum()),
     ]
+}
+
+/// A folder in TUM's layout as one text: its lists, and an image by its bytes in hex, so that all of it can be damaged.
+fn tum() -> Vec<u8> {
+    let mut png = Vec::new();
+    let gray = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(4, 2, vec![500u16; 8]).unwrap();
+    gray.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
+    let list = |name: &str| format!("# time file\n1.000000 {name}.png\n1.500000 {name}.png\n");
+    let poses = "# tx ty tz qx qy qz qw\n0.9 0 0 0.1 0 0 0 1\n1.6 0 0 0.2 0 0 0 1\n";
+    let mut bytes = Vec::new();
+    for part in [list("rgb").as_bytes(), list("depth").as_bytes(), poses.as_bytes(), &png] {
+        bytes.extend(part);
+        bytes.extend(TUM_CUT);
+    }
+    bytes
+}
+
+/// Stands between the files of a [`tum`] folder.
+const TUM_CUT: &[u8] = b"\n--8<--\n";
+
+/// Writes the files of a [`tum`] folder; what lost its cut is empty.
+fn write_tum(folder: &Path, bytes: &[u8]) {
+    let mut rest = bytes;
+    let files = [&["rgb.txt"][..], &["depth.txt"], &["groundtruth.txt"], &["rgb.png", "depth.png"]];
+    for names in files {
+        let end = rest.windows(TUM_CUT.len()).position(|window| window == TUM_CUT).unwrap_or(rest.len());
+        let (part, after) = rest.split_at(end);
+        names.iter().for_each(|name| std::fs::write(folder.join(name), part).unwrap());
+        rest = after.get(TUM_CUT.len()..).unwrap_or_default();
+    }
+}
+
+/// Puts a (damaged) seed where it can be opened.
+fn lay_down(path: &Path, bytes: &[u8]) {
+    if path.extension().is_some_and(|ending| ending == "tum") {
+        std::fs::create_dir_all(path).unwrap();
+        write_tum(path, bytes);
+    } else {
+        std::fs::write(path, bytes).unwrap();
+    }
+}
+
+/// What is being read, since when.
+type Watched = Arc<Mutex<Option<(Instant, String, Vec<u8>)>>>;
+
+/// A thread that ends the process when an input hangs: a test cannot stop one that does not return.
+fn watch() -> Watched {
+    let watched = Watched::default();
+    let seen = Arc::downgrade(&watched);
+    std::thread::spawn(move || {
+        while let Some(watched) = seen.upgrade() {
+            if let Some((since, name, bytes)) = &*watched.lock().unwrap_or_else(PoisonError::into_inner)
+                && since.elapsed() > HANGS
+            {
+                let kept = std::env::temp_dir().join(format!("hang-{name}"));
+                let _ = std::fs::write(&kept, bytes);
+                eprintln!("{name}: no answer after {HANGS:?}; the input is kept as {}", kept.display());
+                std::process::abort();
+            }
+            drop(watched);
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    });
+    watched
 }
 
 fn peak_memory_mib() -> Option<f64> {
@@ -326,8 +403,10 @@ fn the_seeds_are_read_whole() {
     let folder = tempfile::tempdir().unwrap();
     for (name, seed) in seeds() {
         let path = folder.path().join(name);
-        std::fs::write(&path, &seed).unwrap();
-        assert_eq!(read_all(&path), Ok(messages(true).len()), "{name}");
+        lay_down(&path, &seed);
+        // Two images of each kind and two poses.
+        let count = if name.ends_with("tum") { 6 } else { messages(true).len() };
+        assert_eq!(read_all(&path), Ok(count), "{name}");
     }
 }
 
@@ -335,15 +414,21 @@ fn the_seeds_are_read_whole() {
 fn mutated_recordings_are_answered() {
     let folder = tempfile::tempdir().unwrap();
     let begin = std::env::var("SKCLAM_FUZZ_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or(1u64);
-    for (name, seed) in seeds() {
+    let watched = watch();
+    // `SKCLAM_FUZZ_ONLY=db3` tries the seeds with that ending alone.
+    let only = std::env::var("SKCLAM_FUZZ_ONLY").unwrap_or_default();
+    for (name, seed) in seeds().into_iter().filter(|(name, _)| name.ends_with(&only)) {
         let path = folder.path().join(name);
         let (mut fine, mut refused) = (0u64, 0u64);
         for case in 0..count() {
             let mut random = ChaCha8Rng::seed_from_u64(begin.wrapping_mul(1 << 40).wrapping_add(case));
             let bytes = mutate(&seed, &mut random);
-            std::fs::write(&path, &bytes).unwrap();
+            lay_down(&path, &bytes);
             let start = Instant::now();
+            let now = Some((start, format!("{begin}-{case}-{name}"), bytes.clone()));
+            *watched.lock().unwrap_or_else(PoisonError::into_inner) = now;
             let answer = std::panic::catch_unwind(|| read_all(&path));
+            *watched.lock().unwrap_or_else(PoisonError::into_inner) = None;
             let took = start.elapsed();
             let keep = || {
                 let kept = std::env::temp_dir().join(format!("finding-{begin}-{case}-{name}"));
@@ -357,7 +442,8 @@ fn mutated_recordings_are_answered() {
             }
             assert!(took < MOST_TIME, "{name}, case {case}: {took:?}; the input is kept as {}", keep().display());
         }
-        println!("{name}: {} inputs, {fine} read, {refused} refused", count());
+        let peak = peak_memory_mib().map_or(String::new(), |peak| format!("; peak memory {peak:.0} MiB so far"));
+        println!("{name}: {} inputs, {fine} read, {refused} refused{peak}", count());
         assert!(count() < 100 || (fine > 0 && refused > 0), "{name}: {fine} read, {refused} refused");
     }
     if let Some(peak) = peak_memory_mib() {
