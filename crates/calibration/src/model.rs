@@ -56,11 +56,12 @@ impl Model {
         }
     }
 
-    /// The rig with the depth scale worked into its depth camera's unit (the offset has no place there).
+    /// The rig with the depth correction worked into its depth camera's unit and offset.
     pub fn corrected_rig(&self) -> Rig {
         let mut rig = self.rig.clone();
         if let Some(depth) = &mut rig.depth {
             depth.unit_m *= self.depth.scale;
+            depth.offset_m = self.depth.offset_m + self.depth.scale * depth.offset_m;
         }
         rig
     }
@@ -143,6 +144,17 @@ mod tests {
     use super::*;
     use crate::Free;
     use crate::synthetic::hp3j;
+
+    #[test]
+    fn a_depth_correction_goes_into_the_depth_camera() {
+        let mut model = Model::new(hp3j());
+        let nominal = skclam_geometry::DepthCamera { offset_m: 2e-3, ..model.rig.depth.unwrap() };
+        model.rig.depth = Some(nominal);
+        model.depth = DepthCorrection { scale: 1.01, offset_m: -5e-3 };
+        let corrected = model.corrected_rig().depth.unwrap();
+        let measured = |camera: &skclam_geometry::DepthCamera| camera.offset_m + 700.0 * camera.unit_m;
+        assert!((measured(&corrected) - (-5e-3 + 1.01 * measured(&nominal))).abs() < 1e-12);
+    }
 
     #[test]
     fn values_that_were_set_are_read_back() {

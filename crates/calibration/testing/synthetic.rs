@@ -43,6 +43,7 @@ pub fn hp3j() -> Rig {
         depth: Some(DepthCamera {
             camera: PinholeCamera::from_hfov(480, 360, deg(59.0)),
             unit_m: 1e-3,
+            offset_m: 0.0,
             color_from_depth: Isometry3::identity(),
         }),
         board: None,

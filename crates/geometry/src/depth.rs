@@ -10,6 +10,8 @@ pub struct DepthCamera {
     pub camera: PinholeCamera,
     /// Metres a count of the 16-bit image.
     pub unit_m: f64,
+    /// Metres that are added to every measured depth: a bias of the camera.
+    pub offset_m: f64,
     /// Takes points from the depth camera to the colour camera.
     pub color_from_depth: Isometry3,
 }
@@ -61,9 +63,13 @@ impl DepthImage {
         Ok(DepthImage { width, height, depth_m })
     }
 
-    /// Takes the counts of a 16-bit image, `unit_m` metres each.
-    pub fn from_counts(width: u32, height: u32, counts: &[u16], unit_m: f64) -> Result<Self, DepthImageError> {
-        Self::new(width, height, counts.iter().map(|&count| (f64::from(count) * unit_m) as f32).collect())
+    /// Takes the counts of a camera's 16-bit image: `offset_m + count unit_m`. A count of 0, and what the offset brings to zero or below, is no value.
+    pub fn from_counts(camera: &DepthCamera, counts: &[u16]) -> Result<Self, DepthImageError> {
+        let metres = |&count: &u16| match count {
+            0 => 0.0,
+            count => (f64::from(count) * camera.unit_m + camera.offset_m).max(0.0) as f32,
+        };
+        Self::new(camera.camera.width, camera.camera.height, counts.iter().map(metres).collect())
     }
 
     /// Columns.

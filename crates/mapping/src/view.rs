@@ -105,6 +105,7 @@ pub(crate) mod tests {
         DepthCamera {
             camera: PinholeCamera::from_hfov(width, height, 1.0),
             unit_m: 0.001,
+            offset_m: 0.0,
             color_from_depth: Isometry3::identity(),
         }
     }

@@ -26,6 +26,7 @@ fn scene() -> Scene {
     let camera = DepthCamera {
         camera: PinholeCamera::from_hfov(width, height, 1.0),
         unit_m: 0.001,
+        offset_m: 0.0,
         color_from_depth: Isometry3::identity(),
     };
     let depth = (0..width * height).map(|i| {

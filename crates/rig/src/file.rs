@@ -135,6 +135,11 @@ struct CameraTable {
     mask: Option<String>,
 }
 
+/// A depth camera without a bias needs no line for it.
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DepthTable {
@@ -147,6 +152,8 @@ struct DepthTable {
     #[serde(skip_serializing_if = "Option::is_none")]
     distortion: Option<[f64; DISTORTION_COEFFICIENTS]>,
     unit_mm: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    offset_mm: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     mask: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -397,14 +404,16 @@ impl Reader<'_> {
     }
 
     fn depth(&self, table: DepthTable) -> Result<(DepthCamera, Option<String>), RigFileError> {
-        let DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm, mask, color_from_depth } = table;
+        let DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm, offset_mm, mask, color_from_depth } =
+            table;
         let (camera, mask) = self.camera("depth", CameraTable { width, height, fx, fy, cx, cy, distortion, mask })?;
         let unit_m = self.positive("depth.unit_mm", unit_mm)? * 1e-3;
+        let offset_m = self.finite("depth.offset_mm", offset_mm)? * 1e-3;
         let color_from_depth = match color_from_depth {
             None => Isometry3::identity(),
             Some(table) => self.transform("depth.color_from_depth", &table)?,
         };
-        Ok((DepthCamera { camera, unit_m, color_from_depth }, mask))
+        Ok((DepthCamera { camera, unit_m, offset_m, color_from_depth }, mask))
     }
 
     fn board(&self, table: BoardTable) -> Result<Board, RigFileError> {
@@ -471,7 +480,8 @@ fn file_of(rig: &Rig) -> RigFile {
             let CameraTable { width, height, fx, fy, cx, cy, distortion, mask } =
                 camera_of(&depth.camera, rig.depth_mask.clone());
             let color_from_depth = Some(transform_of(&depth.color_from_depth));
-            DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm: mm(depth.unit_m), mask, color_from_depth }
+            let (unit_mm, offset_mm) = (mm(depth.unit_m), mm(depth.offset_m));
+            DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm, offset_mm, mask, color_from_depth }
         }),
         board: rig.board.as_ref().map(board_of),
         prior: (rig.prior != Prior::default()).then_some(rig.prior),
@@ -604,7 +614,9 @@ angle_deg = 0.5
 
     #[test]
     fn what_is_written_is_read_back_the_same() {
-        let rig = Rig::from_toml(EXAMPLE, "rig.toml").unwrap();
+        let biased = EXAMPLE.replace("unit_mm = 1.0", "unit_mm = 1.0\noffset_mm = -2.5");
+        let rig = Rig::from_toml(&biased, "rig.toml").unwrap();
+        assert_eq!(rig.depth.unwrap().offset_m, -2.5e-3);
         let robot = rig.robot.as_ref().unwrap();
         assert_eq!(robot.joints()[1].link.form, LinkForm::Hayati);
         assert_eq!(robot.joints()[2].limits, Some([0.0, 0.5]));
@@ -621,6 +633,7 @@ angle_deg = 0.5
             |from: &str, to: &str| Rig::from_toml(&EXAMPLE.replace(from, to), "cell/rig.toml").unwrap_err().to_string();
         let message = with("fx = 1371.02", "fx = nan");
         assert!(message.contains("cell/rig.toml") && message.contains("color.fx"), "{message}");
+        assert!(with("unit_mm = 1.0", "unit_mm = 1.0\noffset_mm = nan").contains("depth.offset_mm"));
         let message = with("unit_mm = 1.0", "unit_mm = 1.0\nunits = 3");
         assert!(message.contains("units") && message.contains("line"), "{message}");
         let message = with("quaternion_xyzw = [0.0, 0.0, -0.70710678, 0.70710678]", "quaternion_xyzw = [0, 0, 0, 0]");

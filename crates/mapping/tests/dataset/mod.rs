@@ -49,6 +49,7 @@ pub fn load(folder: &Path, limit: usize) -> Dataset {
     let depth_camera = DepthCamera {
         camera: pinhole(depth_table),
         unit_m: number(&depth_table["unit_mm"]) / 1000.0,
+        offset_m: 0.0,
         color_from_depth,
     };
     let color_camera = pinhole(rig["color"].as_table().unwrap());
@@ -78,7 +79,7 @@ pub fn load(folder: &Path, limit: usize) -> Dataset {
             let counts = image::open(folder.join(field("depth"))).unwrap().into_luma16();
             let (width, height) = counts.dimensions();
             Shot {
-                depth: DepthImage::from_counts(width, height, counts.as_raw(), depth_camera.unit_m).unwrap(),
+                depth: DepthImage::from_counts(&depth_camera, counts.as_raw()).unwrap(),
                 color: image::open(folder.join(field("color"))).unwrap().into_rgb8(),
                 base_from_color,
             }

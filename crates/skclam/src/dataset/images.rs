@@ -59,7 +59,7 @@ pub(super) fn read_depth(path: &Path, camera: &DepthCamera) -> Result<DepthImage
             ),
         ));
     };
-    DepthImage::from_counts(camera.camera.width, camera.camera.height, counts.as_raw(), camera.unit_m)
+    DepthImage::from_counts(camera, counts.as_raw())
         .map_err(|source| DatasetError::Depth { path: path.to_owned(), source })
 }
 

@@ -194,6 +194,7 @@ mod tests {
         let camera = DepthCamera {
             camera: PinholeCamera::from_hfov(160, 120, 1.2),
             unit_m: 1e-3,
+            offset_m: 0.0,
             color_from_depth: Isometry3::identity(),
         };
         rig.depth = Some(camera);

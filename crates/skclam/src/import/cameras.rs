@@ -94,7 +94,7 @@ impl Cameras {
         }
         let color_from_depth = self.color_from_depth(recording, rig, chosen, options)?;
         let unit_m = self.unit_m(recording, rig, depth_topic, written);
-        result.depth = Some(DepthCamera { camera: depth_camera, unit_m, color_from_depth });
+        result.depth = Some(DepthCamera { camera: depth_camera, unit_m, offset_m: 0.0, color_from_depth });
         if recording.format() == RecordingFormat::Tum && rig.robot.is_none() {
             result.flange_from_color = Isometry3::identity();
         }

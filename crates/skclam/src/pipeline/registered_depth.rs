@@ -79,6 +79,7 @@ mod tests {
         let depth_camera = DepthCamera {
             camera: PinholeCamera::from_hfov(480, 360, 1.0),
             unit_m: 1e-3,
+            offset_m: 0.0,
             color_from_depth: Isometry3::new(Vector3::new(0.03, -0.01, 0.005), Vector3::new(0.01, -0.02, 0.03)),
         };
         let (normal, offset) = (Vector3::new(0.3, -0.2, 1.0), 1.1);

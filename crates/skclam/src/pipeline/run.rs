@@ -55,6 +55,9 @@ pub struct Outcome {
 pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
     let mut outcome = run_without_map(dataset, config, progress)?;
     let nominal = localize(dataset, &dataset.rig)?;
+    // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the poses alone differ.
+    let corrected = Dataset { rig: Rig { depth: outcome.rig.depth, ..dataset.rig.clone() }, ..dataset.clone() };
+    let dataset = &corrected;
     let poses = |trajectory: &[StampedPose]| {
         trajectory.iter().map(|stamped| stamped.base_from_camera).collect::<Vec<Isometry3>>()
     };
@@ -189,8 +192,9 @@ fn not_in_the_rig(calibration: &Calibration) -> Option<String> {
         .iter()
         .map(|estimate| estimate.parameter)
         .filter(|parameter| match parameter {
-            Parameter::Chain(_) | Parameter::Mount(_) | Parameter::Intrinsic(_) | Parameter::DepthScale => false,
-            Parameter::DepthOffset | Parameter::TimeOffset => true,
+            Parameter::Chain(_) | Parameter::Mount(_) | Parameter::Intrinsic(_) => false,
+            Parameter::DepthScale | Parameter::DepthOffset => false,
+            Parameter::TimeOffset => true,
             Parameter::GearSin(_) | Parameter::GearCos(_) | Parameter::Compliance(_) => true,
         })
         .map(|parameter| parameter.to_string())
