@@ -21,6 +21,10 @@ fmt:
 docs *ARGS:
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --release {{ ARGS }}
 
+# The book in docs/, built anew as it changes; wants mdbook.
+book:
+    mdbook serve docs
+
 # The paper's tables from the virtual cell; `just reproduce --quick` for the short version.
 reproduce *ARGS:
     cargo run --release --bin skclam -- reproduce --out out/reproduce {{ ARGS }}
