@@ -11,6 +11,7 @@ use crate::{
     Calibration, CalibrationError, Correspondences, EpipolarStatistics, Model, ReprojectionStatistics,
     epipolar_statistics,
 };
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_rig::Rig;
 
@@ -186,8 +187,9 @@ pub fn cross_validate(
             return Err(CalibrationError::NoSuchPosture { what, got, count });
         }
         let rest = without_postures(data, held_out);
-        let fitted = estimate(&rest)?;
-        let between = mount_only.map(|estimate| estimate(&rest)).transpose()?;
+        let (fitted, between) =
+            rayon::join(|| estimate(&rest), || mount_only.map(|estimate| estimate(&rest)).transpose());
+        let (fitted, between) = (fitted?, between?);
         let models = Rigs {
             nominal: &start,
             mount_only: between.as_ref().map(|calibration| &calibration.model),
@@ -197,7 +199,7 @@ pub fn cross_validate(
         done();
         Ok(Fold { held_out: held_out.clone(), comparison })
     };
-    let folds = groups.iter().map(one).collect::<Result<Vec<_>, CalibrationError>>()?;
+    let folds = groups.par_iter().map(one).collect::<Result<Vec<_>, CalibrationError>>()?;
     Ok(CrossValidation {
         figure_px: Rigs {
             nominal: joined(&folds, |rigs| Some(rigs.nominal)).unwrap_or_default(),

@@ -297,7 +297,8 @@ fn deal(band: &[ViewPoint], base_from_color: &Isometry3, voxel_m: f64) -> Result
     let rotation = *base_from_color.rotation.to_rotation_matrix().matrix();
     let (rotation_f32, translation) = (rotation.cast::<f32>(), base_from_color.translation.vector);
     let inverse_voxel = 1.0 / voxel_m;
-    let mut dealt: Vec<Vec<(VoxelKey, Cell)>> = vec![Vec::with_capacity(band.len() >> SHARD_BITS); 1 << SHARD_BITS];
+    let mut dealt: Vec<Vec<(VoxelKey, Cell)>> =
+        (0..1 << SHARD_BITS).map(|_| Vec::with_capacity(band.len() >> SHARD_BITS)).collect();
     let mut open: Option<(VoxelKey, Cell)> = None;
     for point in band {
         let in_base = rotation * Vector3::from(point.point_in_color).cast::<f64>() + translation;
