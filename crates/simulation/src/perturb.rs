@@ -4,7 +4,7 @@ use crate::SimulationError;
 use crate::dice::Dice;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-use skclam_kinematics::{ParameterId, ParameterKind};
+use skclam_kinematics::{LinkForm, ParameterId, ParameterKind, SerialChain};
 use skclam_rig::Rig;
 
 /// The error that the paper adds to each of its angles, section 4.1.1.
@@ -49,7 +49,14 @@ impl Default for PerturbationSigmas {
     }
 }
 
-/// A true arm with normal errors on every parameter and on the mount. Errors: no arm, a sigma that is negative or not
+/// Whether a parameter only says how the base frame lies about the first axis: in the modified order, `alpha_1` and `a_1`. What is called the base is
+/// drawn on the floor along that axis, so that a true arm has no error there.
+fn defines_the_base(id: ParameterId, chain: &SerialChain) -> bool {
+    let modified = matches!(chain.joints()[id.joint].link.form, LinkForm::ModifiedDh | LinkForm::Hayati);
+    id.joint == 0 && modified && matches!(id.kind, ParameterKind::Alpha | ParameterKind::A | ParameterKind::Beta)
+}
+
+/// A true arm with normal errors on the mount and on every parameter but those that only define the base frame. Errors: no arm, a sigma that is negative or not
 /// finite.
 pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> Result<Rig, SimulationError> {
     for (option, value) in [
@@ -69,7 +76,9 @@ pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> 
     for id in chain.parameter_ids() {
         let sigma = if id.kind.is_angle() { sigmas.angle_deg.to_radians() } else { 1e-3 * sigmas.length_mm };
         let value = chain.parameter(id).unwrap_or_default() + sigma * dice.normal();
-        chain.set_parameter(id, value)?;
+        if !defines_the_base(id, chain) {
+            chain.set_parameter(id, value)?;
+        }
     }
     let mut draw = |sigma: f64| Vector3::from_fn(|_, _| sigma * dice.normal());
     let turn = UnitQuaternion::from_scaled_axis(draw(sigmas.mount_rotation_deg.to_radians()));
@@ -120,7 +129,8 @@ mod tests {
         for id in before.parameter_ids() {
             let error = (after.parameter(id).unwrap() - before.parameter(id).unwrap()).abs();
             let sigma = if id.kind.is_angle() { 0.5f64.to_radians() } else { 1e-3 };
-            assert!(error > 0.0 && error < 5.0 * sigma, "{id}: {error}");
+            let moved = !defines_the_base(id, before);
+            assert!((error > 0.0) == moved && error < 5.0 * sigma, "{id}: {error}");
         }
         assert_ne!(truth.flange_from_color, nominal.flange_from_color);
         assert_ne!(truth.robot, perturb_random(&nominal, 4, &sigmas).unwrap().robot);

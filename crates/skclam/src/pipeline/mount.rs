@@ -5,7 +5,7 @@ use crate::dataset::Dataset;
 use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{Correspondences, PairMatch, PairMatches, find_mount as search};
-use skclam_features::{FilterOptions, RansacOptions};
+use skclam_features::FilterOptions;
 use skclam_geometry::{Isometry3, Pixel};
 
 /// A mount that was found from the images.
@@ -46,7 +46,7 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
         gate_deg: None,
         filter: FilterOptions {
             best: None,
-            ransac: Some(config.filter.ransac.clone().unwrap_or_else(RansacOptions::default)),
+            ransac: Some(config.filter.ransac.clone().unwrap_or_default()),
             ..config.filter.clone()
         },
         ..config.clone()
