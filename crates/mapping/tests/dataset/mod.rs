@@ -77,7 +77,6 @@ pub fn load(folder: &Path, limit: usize) -> Dataset {
                 }
             };
             let counts = image::open(folder.join(field("depth"))).unwrap().into_luma16();
-            let (width, height) = counts.dimensions();
             Shot {
                 depth: DepthImage::from_counts(&depth_camera, counts.as_raw()).unwrap(),
                 color: image::open(folder.join(field("color"))).unwrap().into_rgb8(),

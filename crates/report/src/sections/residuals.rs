@@ -132,16 +132,18 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
 /// Lines of a histogram over bins whose widths grow by a factor.
 fn histogram(histogram: &Histogram) -> Chart {
     let total = histogram.before.iter().sum::<u64>().max(1) as f64;
-    let occupied = |k: &usize| histogram.before[*k] + histogram.after[*k] > 0;
+    // A file that a stranger made may have lists of different lengths.
+    let count = |counts: &[u64], k: usize| counts.get(k).copied().unwrap_or(0);
+    let occupied = |k: &usize| count(&histogram.before, *k) > 0 || count(&histogram.after, *k) > 0;
     let bins = histogram.before.len();
     let first = (0..bins).find(occupied).unwrap_or(0);
     let last = (0..bins).rev().find(occupied).unwrap_or(bins.saturating_sub(1));
     let trace = |name: &str, counts: &[u64], color: &str, dash: &str| {
         // A bin without a neighbour on either side closes the shape at zero.
         let (mut x, mut y) = (Vec::new(), Vec::new());
-        for k in first..=last.min(bins.saturating_sub(1)) {
-            x.extend([histogram.edges_px[k], histogram.edges_px[k + 1]]);
-            let share = 100.0 * counts[k] as f64 / total;
+        for (edges, &count) in histogram.edges_px.windows(2).zip(counts).take(last + 1).skip(first) {
+            x.extend_from_slice(edges);
+            let share = 100.0 * count as f64 / total;
             y.extend([share, share]);
         }
         json!({
