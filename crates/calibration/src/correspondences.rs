@@ -51,12 +51,15 @@ pub struct Track {
 }
 
 /// The corners of the rig's board in one image.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BoardObservation {
     /// Position of the posture in [`Correspondences::postures`].
     pub posture: usize,
     /// Column and row of the inner corner, counted from 0, and where the image shows it, px, distortion included.
     pub corners: Vec<(u32, u32, Pixel)>,
+    /// Standard deviation of each coordinate relative to the other observations, px; 1 where nothing is known or nothing else is there (the
+    /// common scale is estimated).
+    pub sigma_px: f64,
 }
 
 /// All that the estimators see of a recording.
@@ -135,6 +138,10 @@ impl Correspondences {
         for (index, board) in self.boards.iter().enumerate() {
             let name = format!("board observation {index}");
             posture(&name, board.posture)?;
+            finite(&|| name.clone(), &[board.sigma_px])?;
+            if board.sigma_px <= 0.0 {
+                return Err(CalibrationError::NotPositive { what: name, value: board.sigma_px });
+            }
             for (_, _, pixel) in &board.corners {
                 finite(&|| name.clone(), &[pixel.x, pixel.y])?;
             }

@@ -4,6 +4,7 @@
 //! them free an explicit, ordered list of [`Parameter`]s, say how they ended ([`Termination`]) and what the data
 //! cannot tell. This crate knows pixels, postures and rigs; it knows no images, no files, no map and no simulation.
 
+mod board;
 mod bundle;
 mod correspondences;
 mod epipolar_residuals;
@@ -29,6 +30,9 @@ mod termination;
 mod uncertainty;
 mod warning;
 
+pub use board::{
+    BoardFold, BoardPlace, base_from_board, board_residuals, color_from_board, cross_validate_board, fit_mount_to_board,
+};
 pub use bundle::{
     BundleOptions, DeviationPolicy, ExpectationOptions, ExpectedCalibration, calibrate_bundle, expected_calibration,
 };

@@ -65,6 +65,15 @@ pub enum Warning {
         /// The limit.
         limit: usize,
     },
+    /// Joints seemed to deviate by more than encoders do, and held-out postures are predicted better without deviations: they were left at zero.
+    DeviationsRefused {
+        /// The sigma that seemed likeliest, degrees.
+        sigma_deg: f64,
+        /// Held-out figure with deviations, px; `None` where there are too few postures to hold some out.
+        with_px: Option<f64>,
+        /// The same without.
+        without_px: Option<f64>,
+    },
     /// The solver did not converge.
     NotConverged {
         /// How it ended.
@@ -107,6 +116,22 @@ impl fmt::Display for Warning {
             }
             Warning::DeviationsOff { unknowns, limit } => {
                 write!(f, "joint deviations were left at zero: {unknowns} unknowns exceed the limit of {limit}")
+            }
+            Warning::DeviationsRefused { sigma_deg, with_px, without_px } => {
+                write!(
+                    f,
+                    "joints seemed to stand {sigma_deg:.4} deg off their values, more than encoders do: errors of the arm in disguise; "
+                )?;
+                match (with_px, without_px) {
+                    (Some(with), Some(without)) => {
+                        write!(
+                            f,
+                            "held-out postures fit to {without:.2} px without such deviations, {with:.2} px with; "
+                        )?;
+                    }
+                    _ => write!(f, "there are too few postures to test that on held-out ones; ")?,
+                }
+                write!(f, "they were left at zero")
             }
             Warning::NotConverged { reason } => write!(f, "the solver {reason}"),
         }

@@ -321,7 +321,7 @@ pub fn record_board(
                 corners.push((column, row, pixel + nalgebra::Vector2::new(normal(rng), normal(rng)) * sigma_px));
             }
         }
-        Some(BoardObservation { posture, corners })
+        Some(BoardObservation { posture, corners, sigma_px: 1.0 })
     });
     let observations = observations.collect();
     (board, observations)

@@ -74,4 +74,12 @@ pub enum FeaturesError {
         /// How many there are.
         count: usize,
     },
+    /// No dictionary of markers has this name.
+    #[error("there is no dictionary \"{got}\"; known are {known}")]
+    UnknownDictionary {
+        /// What was asked for.
+        got: String,
+        /// All names, with commas between.
+        known: String,
+    },
 }

@@ -4,6 +4,7 @@
 //! geometry comes in as a fundamental matrix.
 
 pub mod akaze;
+pub mod board;
 mod error;
 pub mod filter;
 pub mod guided;
@@ -14,6 +15,7 @@ pub mod refine;
 pub mod tracks;
 
 pub use akaze::{Akaze, AkazeOptions};
+pub use board::{BoardLayout, BoardOptions, Dictionary, FoundBoard, MarkerLayout, detect_board};
 pub use error::FeaturesError;
 pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions, match_and_filter};
 pub use guided::{PredictedPoints, Prediction, match_guided};

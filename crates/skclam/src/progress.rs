@@ -15,6 +15,8 @@ pub enum Stage {
     Record,
     /// Detecting and describing keypoints, section 3.2.
     ExtractFeatures,
+    /// Looking for the rig's board.
+    FindBoards,
     /// Matching pairs of images, section 3.2.
     MatchPairs,
     /// Joining matches to tracks and refining them.
@@ -43,6 +45,7 @@ impl fmt::Display for Stage {
             Stage::Simulate => "simulate",
             Stage::Record => "record",
             Stage::ExtractFeatures => "features",
+            Stage::FindBoards => "boards",
             Stage::MatchPairs => "match",
             Stage::BuildTracks => "tracks",
             Stage::Calibrate => "calibrate",

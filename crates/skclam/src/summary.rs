@@ -1,8 +1,8 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary, SurfaceAgreement,
-    TrackSummary, VerdictGrade,
+    BoardSummary, CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary,
+    SurfaceAgreement, TrackSummary, VerdictGrade,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -35,6 +35,8 @@ pub struct Summary {
     pub camera_fixed: Option<CameraFixedSummary>,
     /// How tracks were built; `null` for pairs alone.
     pub tracks: Option<TrackSummary>,
+    /// The board; `null` where the rig has none.
+    pub board: Option<BoardSummary>,
     /// Residuals and parameters.
     pub calibration: CalibrationSummary,
     /// Residuals on postures that the fit did not see; `null` where that could not be measured, see the warnings.

@@ -93,7 +93,9 @@ impl Observations {
                     return Err(error(format!("corner ({column}, {row}) is not on a board of {columns} x {rows}")));
                 }
                 let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
-                let sighting = Sighting { posture: posture as u32, depth_m: 0.0, pixel, information: [1.0, 0.0, 1.0] };
+                let weight = board_seen.sigma_px.powi(-2);
+                let sighting =
+                    Sighting { posture: posture as u32, depth_m: 0.0, pixel, information: [weight, 0.0, weight] };
                 flat.corners.push(CornerSighting { sighting, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
                     Ok(at) => corner_tracks[at].1.push(sighting),
@@ -128,6 +130,13 @@ impl Observations {
         let mut sample = self.clone();
         sample.retain_tracks(&(0..self.track_count()).map(|track| track % stride == 0).collect::<Vec<_>>());
         sample
+    }
+
+    /// Makes every corner's sigma larger by a factor.
+    pub(crate) fn scale_corner_sigma(&mut self, factor: f64) {
+        self.corners.iter_mut().for_each(|corner| {
+            corner.sighting.information = corner.sighting.information.map(|w| w / (factor * factor))
+        });
     }
 
     /// The same without the tracks that `keep` refuses.

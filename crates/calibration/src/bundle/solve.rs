@@ -84,6 +84,8 @@ const EARLY_LOOKS: usize = 3;
 const FAR_OFF: f64 = 5.0;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
+/// Fewer sights of a kind do not tell its noise.
+const LEAST_OF_A_KIND: usize = 50;
 /// The noise has settled when it changes by less than this fraction.
 const SETTLED: f64 = 0.01;
 
@@ -326,7 +328,15 @@ impl Solve<'_> {
             state = descent.state;
             sizes = adjustment.residual_sizes(&state);
             let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
-            let mut next = rescaled(&sizes, &noise, 1.0 - unknown_count as f64 / freedom.max(1.0));
+            let left = 1.0 - unknown_count as f64 / freedom.max(1.0);
+            let mut next = rescaled(&sizes, &noise, left);
+            // How sure corners are beside other sights is not known beforehand either: each kind tells its own noise.
+            let (of_tracks, of_corners) = sizes.split_at(observations.sightings.len().min(sizes.len()));
+            let mut corner_factor = 1.0;
+            if of_tracks.len().min(of_corners.len()) >= LEAST_OF_A_KIND {
+                next = rescaled(of_tracks, &noise, left);
+                corner_factor = (rescaled(of_corners, &noise, left).pixel / next.pixel).clamp(0.1, 10.0);
+            }
             if joints > 0 && estimate_deviations && self.estimates_deviations() {
                 // The fixed point is approached by small factors; their square halves the number of rounds.
                 let factor = (self.deviation_sigma(&adjustment, &state)? / noise.deviation).clamp(0.3, 3.0);
@@ -337,11 +347,13 @@ impl Solve<'_> {
                 || change(noise.deviation, next.deviation) < 5.0 * SETTLED;
             let settled = change(noise.pixel, next.pixel) < SETTLED
                 && change(noise.depth, next.depth) < SETTLED
+                && change(corner_factor, 1.0) < 5.0 * SETTLED
                 && deviation_settled;
             if settled || rounds >= self.options.max_rounds {
                 break (descent.reason, descent.cost);
             }
             noise = next;
+            observations.scale_corner_sigma(corner_factor);
         };
         let initial_cost = initial_cost.unwrap_or_default();
         let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };

@@ -3,6 +3,7 @@
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::observations::Observations;
 use crate::bundle::state::NoiseScales;
+use crate::bundle::unknowns::Unknowns;
 use crate::motion::Motion;
 use crate::prior::Priors;
 use crate::synthetic::{
@@ -102,6 +103,65 @@ fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
         let seen = information[(k, k)];
         let unit = parameter.scale() * parameter.scale();
         assert!((bend - seen).abs() * unit < 1e-3 * (seen * unit + 1.0), "{parameter}: {bend} {seen}");
+    }
+}
+
+#[test]
+fn gradient_of_board_corners_agrees_with_differences() {
+    let mut rng = seeded(12);
+    let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
+    let base_from_board = Isometry3::new(Vector3::new(0.6, -0.08, 0.0), Vector3::new(0.0, 0.0, 0.3));
+    let drawn = diverse_postures(&hp3j(), 10_000, &mut rng);
+    let (board, seen) = record_board(&truth, &drawn, &base_from_board, 0.3, &mut rng);
+    let mut data = Correspondences::default();
+    for observation in seen.into_iter().take(5) {
+        data.postures.push(drawn[observation.posture].clone());
+        data.boards.push(crate::BoardObservation { posture: data.boards.len(), sigma_px: 0.7, ..observation });
+    }
+    assert_eq!(data.boards.len(), 5);
+    let mut nominal = hp3j();
+    nominal.board = Some(board);
+    let motion = Motion::new(&nominal, &data.postures).unwrap();
+    let observations = Observations::new(&nominal, &data, &|_| true, &mut Vec::new()).unwrap();
+    let mut parameters = Free::All.candidates(&nominal, true, false).unwrap();
+    parameters.extend([Parameter::GearSin(1), Parameter::Compliance(2)]);
+    let priors = Priors { sigmas: vec![None; parameters.len()] };
+    let noise = NoiseScales { pixel: 0.5, depth: 0.005, deviation: 1e-3 };
+    let (joints, postures) = (6, 5);
+    for loss in [Loss::Squared, Loss::Cauchy(3.0), Loss::Tukey(60.0)] {
+        let observations = &observations;
+        let adjustment = Adjustment {
+            nominal: &nominal,
+            motion: &motion,
+            observations,
+            parameters: &parameters,
+            priors: &priors,
+            loss,
+            noise,
+        };
+        let deviations: Vec<f64> = (0..joints * postures).map(|k| 1e-4 * (k as f64).sin()).collect();
+        let model = Model::new(nominal.clone());
+        let state = posed_state(&model, deviations.clone(), &motion, observations, &noise, loss).unwrap();
+        assert!(state.base_from_board.is_some());
+        let unknowns = Unknowns { parameters: &parameters, board: true, joints, postures };
+        let descent = adjustment.descent_of(&state).unwrap();
+        let count = descent.len();
+        assert_eq!(count, parameters.len() + 6 + joints * postures);
+        let scale = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale());
+        let largest = (0..count).map(|k| (descent[k] * scale(k)).abs()).fold(0.0, f64::max);
+        for k in 0..count {
+            let step = 1e-5 * scale(k);
+            let cost = |sign: f64| {
+                let along = DVector::from_fn(count, |row, _| if row == k { sign * step } else { 0.0 });
+                adjustment.cost_of(&unknowns.stepped(&motion, &state, &along).unwrap())
+            };
+            // The cost hears the prior of the deviations, the bare gradient does not.
+            let prior =
+                k.checked_sub(unknowns.first_deviation()).map_or(0.0, |at| deviations[at] / noise.deviation.powi(2));
+            let slope = (cost(1.0) - cost(-1.0)) / (2.0 * step) - prior;
+            let error = (slope + descent[k]).abs() * scale(k);
+            assert!(error < 1e-5 * largest, "{loss:?}, unknown {k}: {slope} {}", -descent[k]);
+        }
     }
 }
 
@@ -321,6 +381,29 @@ fn a_board_alone_gives_the_arm_its_scale() {
     assert!(result.reprojection_after.unwrap().rms_px < 0.16);
     data.boards[3].corners[5].0 = 99;
     assert!(calibrate_bundle(&nominal, &data, &options).unwrap_err().to_string().contains("(99, 0)"));
+}
+
+#[test]
+fn corners_and_tracks_tell_their_own_noise() {
+    let mut rng = seeded(13);
+    let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
+    let base_from_board = Isometry3::new(Vector3::new(0.6, -0.08, 0.0), Vector3::new(0.0, 0.0, 0.3));
+    let drawn = diverse_postures(&hp3j(), 30_000, &mut rng);
+    let (board, seen) = record_board(&truth, &drawn, &base_from_board, 0.05, &mut rng);
+    let seen: Vec<_> = seen.into_iter().take(24).collect();
+    let postures: Vec<_> = seen.iter().map(|observation| drawn[observation.posture].clone()).collect();
+    let mut data = record(&truth, &postures, &room(4000, &mut rng), half_pixel(), &mut rng);
+    // Told as if corners were as uncertain as tracks; ten times better is what they are.
+    data.boards = seen.into_iter().enumerate().map(|(posture, o)| crate::BoardObservation { posture, ..o }).collect();
+    let mut nominal = hp3j();
+    nominal.board = Some(board);
+    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let together = calibrate_bundle(&nominal, &data, &options).unwrap();
+    assert!((together.noise.pixel - 0.5).abs() < 0.05, "{:?}", together.noise);
+    assert!(largest_error_in_sigmas(&together, &truth) < 5.0, "{:#?}", together.parameters);
+    let all: Vec<usize> = (0..24).collect();
+    let fit = crate::board_residuals(&together.model, &data, &all, &all).unwrap().unwrap();
+    assert!(fit.rms_px < 0.09, "{fit:?}");
 }
 
 #[test]

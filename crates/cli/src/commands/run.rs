@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
 use skclam::output::StagedFolder;
-use skclam::pipeline::{self, Config, MapCoverage};
+use skclam::pipeline::{self, BoardSummary, Config, MapCoverage};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -188,6 +188,15 @@ pub fn show(summary: &Summary) {
         table.add_row(["depth images apart, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
         table.add_row(["depth images apart, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
     }
+    let board_rms = |of: fn(&BoardSummary) -> Option<f64>| {
+        summary.board.as_ref().and_then(of).map_or("-".to_owned(), |rms| format!("{rms:.3}"))
+    };
+    if summary.board.as_ref().is_some_and(|board| board.corners > 0) {
+        let after = board_rms(|board| board.calibrated_rms_px);
+        table.add_row(["board corners, RMS".to_owned(), board_rms(|board| board.nominal_rms_px), after.clone()]);
+        let fitted = board_rms(|board| board.mount_fitted_rms_px);
+        table.add_row(["the same, nominal with its mount fitted".to_owned(), fitted, after]);
+    }
     println!("{table}\n");
     show_poses(summary);
     let counts = &summary.counts;
@@ -200,6 +209,9 @@ pub fn show(summary: &Summary) {
         counts.tracks,
         counts.observations
     );
+    if let Some(board) = &summary.board {
+        println!("Board: {} corners in {} postures", board.corners, board.postures);
+    }
     if let Some(found) = summary.camera_fixed.filter(|found| found.dropped_keypoints > 0) {
         println!(
             "{:.0} % of the image moves with the camera and was masked ({} keypoints); see mask.png",

@@ -3,7 +3,9 @@
 use super::{HeldOutOptions, Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{BundleOptions, Free, NelderMeadOptions, PairwiseOptions};
-use skclam_features::{AkazeOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions};
+use skclam_features::{
+    AkazeOptions, BoardOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions,
+};
 use skclam_geometry::PinholeCamera;
 use skclam_mapping::{CloudOptions, PointDepths};
 
@@ -17,6 +19,19 @@ pub enum Estimator {
     Sampson,
     /// Bundle adjustment over tracks.
     Bundle,
+}
+
+/// What is heard where the rig has a board.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BoardUse {
+    /// The board alone where (nearly) every posture shows it and there is no depth to hear; together elsewhere.
+    #[default]
+    Auto,
+    /// Corners of the board alone; what postures do not show it tell nothing.
+    Alone,
+    /// Corners and natural features.
+    Together,
 }
 
 /// The settings of a run.
@@ -45,6 +60,10 @@ pub struct Config {
     pub max_sightings: Option<usize>,
     /// Aligns the patches of a track's sightings to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,
+    /// Detector of the rig's board.
+    pub board: BoardOptions,
+    /// Whether natural features are heard beside the board.
+    pub board_use: BoardUse,
     /// Which estimator.
     pub estimator: Estimator,
     /// Settings of Nelder-Mead; `free` above comes first.
@@ -75,6 +94,8 @@ impl Default for Config {
             tracks: Some(TrackOptions::default()),
             max_sightings: Some(90_000),
             refine: Some(RefineOptions::default()),
+            board: BoardOptions::default(),
+            board_use: BoardUse::default(),
             estimator: Estimator::Bundle,
             nelder_mead: NelderMeadOptions::default(),
             pairwise: PairwiseOptions::default(),

@@ -1,8 +1,8 @@
 //! From images to correspondences: all that happens before an estimator runs.
 
 use super::{
-    CameraFixedSummary, Config, ImageFeatures, MatchedPair, RunError, TrackSummary, correspondences, drop_camera_fixed,
-    extract_features, match_pairs, pairs_to_match,
+    BoardSummary, BoardUse, CameraFixedSummary, Config, Estimator, ImageFeatures, MatchedPair, RunError, TrackSummary,
+    board_alone, correspondences, drop_camera_fixed, extract_features, find_boards, match_pairs, pairs_to_match,
 };
 use crate::dataset::Dataset;
 use crate::progress::Progress;
@@ -16,12 +16,19 @@ pub(super) struct Gathered {
     pub pairs: Vec<MatchedPair>,
     pub data: Correspondences,
     pub tracks: Option<TrackSummary>,
+    pub board: Option<BoardSummary>,
+    pub told: Vec<String>,
     pub camera_fixed: Option<(CameraFixed, CameraFixedSummary)>,
 }
 
-/// Features, matches and tracks: section 3.2. Fails where nothing is left.
+/// Features, board, matches and tracks: section 3.2 and the rig's board. Fails where nothing is left.
 pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Gathered, RunError> {
     let mut images = extract_features(dataset, config, progress)?;
+    // The other estimators hear pairs alone.
+    let boards = match config.estimator {
+        Estimator::Bundle => find_boards(dataset, &images, config, progress)?,
+        Estimator::NelderMead | Estimator::Sampson => None,
+    };
     let chosen = pairs_to_match(&images, &dataset.rig.color, config);
     let camera_fixed = match dataset.rig.color_mask {
         // The user's word comes before what can be found.
@@ -29,8 +36,31 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
         None => drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?,
     };
     let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
-    let (data, tracks) = correspondences(dataset, &images, &pairs, config, progress)?;
+    let (mut data, tracks) = correspondences(dataset, &images, &pairs, config, progress)?;
+    let mut told = Vec::new();
+    let mut board = None;
+    if let (Some((seen, summary)), Some(of_rig)) = (boards, &dataset.rig.board) {
+        told.extend(summary.warnings(of_rig));
+        data.boards = seen;
+        let has_depth = dataset.records.iter().any(|record| record.depth.is_some());
+        if board_alone(config.board_use, summary.postures, dataset.len(), has_depth) && data.match_count() > 0 {
+            data.tracks.clear();
+            data.pairs.clear();
+            if config.board_use == BoardUse::Auto {
+                told.push(format!(
+                    "the board is in {} of {} postures and leads: natural features were not heard (the setting \"board_use\": \"together\" hears them)",
+                    summary.postures,
+                    dataset.len()
+                ));
+            }
+        }
+        board = Some(summary);
+    }
     if data.match_count() == 0 {
+        // Nothing else is there: the estimated noise is that of the corners, in pixels.
+        data.boards.iter_mut().for_each(|seen| seen.sigma_px = 1.0);
+    }
+    if data.match_count() == 0 && data.boards.is_empty() {
         let total = total_counts(&pairs);
         return Err(RunError::NoMatches {
             images: images.len(),
@@ -40,5 +70,5 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
             matches: 0,
         });
     }
-    Ok(Gathered { images, pairs, data, tracks, camera_fixed })
+    Ok(Gathered { images, pairs, data, tracks, board, told, camera_fixed })
 }

@@ -76,7 +76,7 @@ impl HeldOutSummary {
 }
 
 /// Postures that a group has at least.
-const POSTURES_A_FOLD: usize = 2;
+pub(super) const POSTURES_A_FOLD: usize = 2;
 
 /// Holds out groups of neighbouring postures in turn. The reason in words where it cannot be done.
 pub fn hold_out(
@@ -112,7 +112,7 @@ pub fn hold_out(
 }
 
 /// Whole tracks evenly over the recording, and as large a part of the pair matches.
-fn thinned(data: &Correspondences, max_sightings: Option<usize>) -> Correspondences {
+pub(super) fn thinned(data: &Correspondences, max_sightings: Option<usize>) -> Correspondences {
     let mut thin = data.clone();
     let Some(limit) = max_sightings else { return thin };
     let keep = |share: f64| {

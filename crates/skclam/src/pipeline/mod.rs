@@ -1,6 +1,7 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
 mod agreement;
+mod boards;
 mod calibrate;
 mod camera_fixed;
 mod config;
@@ -22,9 +23,11 @@ mod validate;
 mod verdict;
 
 pub use agreement::{Agreement, AgreementSample, SurfaceAgreement, surface_agreement};
+use boards::board_alone;
+pub use boards::{BoardSummary, board_layout, find_boards};
 pub use calibrate::calibrate;
 pub use camera_fixed::{CameraFixedSummary, drop_camera_fixed};
-pub use config::{Config, Estimator};
+pub use config::{BoardUse, Config, Estimator};
 pub use coverage::{MapCoverage, map_coverage};
 pub use error::RunError;
 pub use features::{ImageFeatures, extract_features};

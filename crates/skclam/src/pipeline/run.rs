@@ -100,9 +100,12 @@ const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let Gathered { images, pairs, data, tracks, camera_fixed } = gather(dataset, config, progress)?;
-    let mut told: Vec<String> = Vec::new();
+    let Gathered { images, pairs, data, tracks, mut board, mut told, camera_fixed } =
+        gather(dataset, config, progress)?;
     let calibration = calibrate(dataset, &data, config, progress)?;
+    if let Some(summary) = &mut board {
+        summary.compare(dataset, &data, &calibration)?;
+    }
     let held_out = hold_out(dataset, &data, config, progress)?;
     if let Err(reason) = &held_out {
         told.push(format!("the calibration was not judged on held-out postures: {reason}"));
@@ -150,6 +153,7 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         keypoints: images.iter().map(|image| image.features.keypoints.len()).collect(),
         camera_fixed,
         tracks,
+        board,
         calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),
         held_out,
         recorded_poses,

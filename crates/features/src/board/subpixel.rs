@@ -1,0 +1,68 @@
+//! A corner to a few hundredths of a pixel: the point that the gradients about it are square to.
+//!
+//! On an edge through the corner `c` the gradient `g` at `p` obeys `g . (p - c) = 0`; the least squares over a window solve
+//! `(sum w g g^T) c = sum w g g^T p` (Foerstner and Guelch, 1987). The weights `w` fall off smoothly about `c`, so the
+//! solution is repeated until it stands still.
+
+use super::saddle::Plane;
+
+/// Repetitions at most.
+const ROUNDS: usize = 30;
+/// The solution stands still below this, px.
+const STILL: f64 = 1e-4;
+
+/// The corner near `start`, by the pixels within `radius` of it (3 to some 15 px); `None` where there is none within half of the radius.
+pub(super) fn refine(image: &Plane, start: (f64, f64), radius: f64) -> Option<(f64, f64)> {
+    let reach = radius.ceil() as isize + 1;
+    let (mut x, mut y) = start;
+    let (width, height) = (image.width as isize, image.height as isize);
+    let inverse_variance = 1.0 / (0.5 * radius * 0.5 * radius);
+    for _ in 0..ROUNDS {
+        let (cx, cy) = (x.round() as isize, y.round() as isize);
+        let (left, right) = ((cx - reach).max(1), (cx + reach).min(width - 2));
+        let (top, bottom) = ((cy - reach).max(1), (cy + reach).min(height - 2));
+        let (mut xx, mut xy, mut yy, mut bx, mut by) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for v in top..=bottom {
+            for u in left..=right {
+                let (dx, dy) = (u as f64 - x, v as f64 - y);
+                let squared = dx * dx + dy * dy;
+                if squared > radius * radius {
+                    continue;
+                }
+                let (gx, gy) = gradient(image, u as usize, v as usize);
+                // Smooth, and zero at the rim.
+                let rim = 1.0 - squared / (radius * radius);
+                let weight = (-0.5 * squared * inverse_variance).exp() * rim;
+                let (a, b, c) = (weight * gx * gx, weight * gx * gy, weight * gy * gy);
+                xx += a;
+                xy += b;
+                yy += c;
+                bx += a * dx + b * dy;
+                by += b * dx + c * dy;
+            }
+        }
+        let determinant = xx * yy - xy * xy;
+        // Edges of one direction alone make no corner.
+        if determinant <= 1e-3 * (xx + yy) * (xx + yy) {
+            return None;
+        }
+        let (step_x, step_y) = ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant);
+        (x, y) = (x + step_x, y + step_y);
+        let moved = (x - start.0).hypot(y - start.1);
+        if moved.is_nan() || moved > 0.5 * radius {
+            return None;
+        }
+        if step_x.hypot(step_y) < STILL {
+            break;
+        }
+    }
+    Some((x, y))
+}
+
+/// Scharr's derivative, grey levels a pixel.
+fn gradient(image: &Plane, x: usize, y: usize) -> (f64, f64) {
+    let at = |dx: usize, dy: usize| f64::from(image.at(x + dx - 1, y + dy - 1));
+    let gx = 3.0 * (at(2, 0) - at(0, 0) + at(2, 2) - at(0, 2)) + 10.0 * (at(2, 1) - at(0, 1));
+    let gy = 3.0 * (at(0, 2) - at(0, 0) + at(2, 2) - at(2, 0)) + 10.0 * (at(1, 2) - at(1, 0));
+    (gx / 32.0, gy / 32.0)
+}
