@@ -4,9 +4,12 @@
     python3 -m venv venv && venv/bin/pip install rosbags mcap numpy pillow
     venv/bin/python benchmarks/recordings/write_recordings.py matrix OUT [MESSAGES]
     venv/bin/python benchmarks/recordings/write_recordings.py large OUT.mcap [GIGABYTES]
+    venv/bin/python benchmarks/recordings/write_recordings.py viewer OUT
 
 `matrix` writes every container, compression and encoding that the importer reads, MESSAGES colour images each, and
 `expected.json` with what is in them (joints, CRC-32 of the pixels). The arm stands, moves, stands, ...
+`viewer` writes viewer.bag and viewer_older.bag with the topics, types and times of the RealSense Viewer (librealsense,
+src/media/ros), and joints.csv beside them.
 """
 
 import io
@@ -276,10 +279,103 @@ def large(path, gigabytes):
     print(f"{path}: {Path(path).stat().st_size / 1e9:.3f} GB, {frame} images, {tick} joint states")
 
 
+def viewer_bag(path, compression, image_type_has_units):
+    """Two sensors of one device: depth 32 x 24 in tenths of a millimetre, colour 64 x 48, 30 Hz, three stands.
+
+    Static information is logged at time 1 ns, images under the time since the start of the recording; the headers of images
+    hold the camera's clock, those of camera_info nothing.
+    """
+    types = dict(ROS1.types)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    # The Viewer appends the metres a count to its depth images; its type keeps the name sensor_msgs/Image.
+    messages = Messages(store, True)
+    writer = Writer1(path)
+    if compression:
+        writer.set_compression(getattr(Writer1.CompressionFormat, compression))
+    static = 1
+    with writer:
+        connections = {}
+
+        def raw(topic, kind, data, time):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], time, data)
+
+        def add(topic, kind, time, **fields):
+            raw(topic, kind, store.serialize_ros1(types[kind](**fields), kind), time)
+
+        def key_value(topic, key, value, time=static):
+            add(topic, "diagnostic_msgs/msg/KeyValue", time, key=key, value=value)
+
+        add("/file_version", "std_msgs/msg/UInt32", static, data=4 if image_type_has_units else 3)
+        key_value("/device_0/info", "Name", "Intel RealSense D405")
+        key_value("/device_0/info", "Serial Number", "123")
+        sensors = [
+            (0, "Depth", "mono16", 32, 24, (40.0, 41.0, 15.5, 11.5), [0.0] * 5),
+            (1, "Color", "rgb8", 64, 48, (80.0, 81.0, 31.5, 23.5), [-0.05, 0.06, 0.001, -0.002, 0.01]),
+        ]
+        vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+        for sensor, stream, encoding, width, height, (fx, fy, cx, cy), distortion in sensors:
+            prefix = f"/device_0/sensor_{sensor}"
+            key_value(f"{prefix}/info", "Name", "Stereo Module" if sensor == 0 else "RGB Camera")
+            for option, value in [("Exposure", 33000.0), ("Gain", 16.0)] + ([("Depth Units", 1e-4)] if sensor == 0 else []):
+                add(f"{prefix}/option/{option}/value", "std_msgs/msg/Float32", static, data=value)
+                add(f"{prefix}/option/{option}/description", "std_msgs/msg/String", static, data="what it does")
+            info = messages.info(0)
+            info.header = messages.header(0, "")
+            info.width, info.height = width, height
+            info.distortion_model = "None" if sensor == 0 else "Inverse Brown Conrady"
+            info.D = np.array(distortion)
+            info.K = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+            info.R, info.P = np.zeros(9), np.zeros(12)
+            kind = "sensor_msgs/msg/CameraInfo"
+            raw(f"{prefix}/{stream}_0/info/camera_info", kind, store.serialize_ros1(info, kind), static)
+        frames = 3 * 45
+        for step in range(frames):
+            # A stand of a second, half a second of motion.
+            time = 1_000_000 + step * 33_333_333
+            for sensor, stream, encoding, width, height, _, _ in sensors:
+                prefix = f"/device_0/sensor_{sensor}/{stream}_0"
+                generator = np.random.default_rng(100 * (step // 45) + sensor)
+                if stream == "Depth":
+                    data = generator.integers(2000, 40000, (height, width), dtype=np.uint16).tobytes()
+                else:
+                    data = generator.integers(0, 256, (height, width, 3), dtype=np.uint8).tobytes()
+                image = messages.raw(START + time + 1000 * sensor, "", encoding, data, len(data) // height)
+                image.width, image.height = width, height
+                bytes_ = bytes(store.serialize_ros1(image, "sensor_msgs/msg/Image"))
+                if image_type_has_units:
+                    bytes_ += struct.pack("<f", 1e-4 if stream == "Depth" else 0.0)
+                raw(f"{prefix}/image/data", "sensor_msgs/msg/Image", bytes_, time)
+                key_value(f"{prefix}/image/metadata", "system_time", f"{(START + time) * 1e-6:.6f}", time)
+                key_value(f"{prefix}/image/metadata", "timestamp_domain", "Global Time", time)
+                if step == 0:
+                    # What takes a point of the reference stream to this one.
+                    moved = vector(0.015, -0.0002, 0.0004) if stream == "Color" else vector(0.0, 0.0, 0.0)
+                    turned = quaternion(0.0, 0.0, np.sin(0.005), np.cos(0.005)) if stream == "Color" else quaternion(0, 0, 0, 1)
+                    add(f"{prefix}/tf/0", "geometry_msgs/msg/Transform", static, translation=moved, rotation=turned)
+
+
+def viewer(out):
+    out.mkdir(parents=True, exist_ok=True)
+    viewer_bag(out / "viewer.bag", "LZ4", True)
+    viewer_bag(out / "viewer_older.bag", None, False)
+    lines = ["timestamp_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"]
+    for step in range(3 * 45 * 2):
+        seconds, phase = step / 60.0, (step % 90) / 90.0
+        share = step // 90 + max(phase - 2 / 3, 0) * 3
+        values = ",".join(f"{10.0 * k + 5.0 * share:.6f}" for k in range(1, 7))
+        # The robot's own clock, a hundred seconds late.
+        lines.append(f"{START / 1e9 + seconds - 100.0:.6f},{values}")
+    (out / "joints.csv").write_text("\n".join(lines) + "\n")
+
+
 if __name__ == "__main__":
-    if len(sys.argv) < 3 or sys.argv[1] not in ("matrix", "large"):
+    if len(sys.argv) < 3 or sys.argv[1] not in ("matrix", "large", "viewer"):
         sys.exit(__doc__)
-    if sys.argv[1] == "matrix":
+    if sys.argv[1] == "viewer":
+        viewer(Path(sys.argv[2]))
+    elif sys.argv[1] == "matrix":
         matrix(Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 60)
     else:
         large(sys.argv[2], float(sys.argv[3]) if len(sys.argv) > 3 else 2.0)
