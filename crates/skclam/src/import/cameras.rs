@@ -190,7 +190,7 @@ impl Cameras {
         let convention = if recording.format() == RecordingFormat::Tum { TUM_UNIT_M } else { ROS_UNIT_M };
         let unit = written.depth_unit_m.or(option);
         // Floats of binary fractions as decimal ones: 0.001f32 is meant as a millimetre.
-        let unit = unit.map(|unit| format!("{:.7e}", unit).parse().unwrap_or(unit));
+        let unit = unit.map(|unit| (unit as f32).to_string().parse().unwrap_or(unit));
         unit.or(rig.depth.as_ref().map(|depth| depth.unit_m)).unwrap_or(convention)
     }
 }
