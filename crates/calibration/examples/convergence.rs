@@ -3,7 +3,7 @@
 //! Random true arms, each wrong by 3 deg in every angle, 10 mm in every length, 15 deg and 50 mm in the mount; image-free recordings of 40 diverse postures
 //! with depth, half a pixel of noise and one pair match in five wrong. Then mounts of which nothing is known at all.
 //!
-//! `cargo run --release -p skclam-calibration --example convergence [STARTS]` (100 by default)
+//! `cargo run --release -p skclam-calibration --example convergence [STARTS [far|mount]]` (100 by default, and both)
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -23,6 +23,17 @@ const FOUND: f64 = 1e-3;
 
 fn main() {
     let starts = std::env::args().nth(1).and_then(|starts| starts.parse().ok()).unwrap_or(100usize);
+    let part = std::env::args().nth(2).unwrap_or_default();
+    if part != "mount" {
+        far_starts(starts);
+    }
+    if part != "far" {
+        unknown_mounts(starts);
+    }
+}
+
+/// Everything wrong by much.
+fn far_starts(starts: usize) {
     let far = Errors {
         angle: 3f64.to_radians(),
         length: 0.01,
@@ -49,6 +60,10 @@ fn main() {
             postures.iter().enumerate().filter(|(k, _)| !out.contains(k)).map(|(_, p)| p.clone()).collect();
         Some(camera_error(&truth, &found.model.rig, &kept))
     });
+}
+
+/// Nothing known of the mount.
+fn unknown_mounts(starts: usize) {
     tell("no idea of the mount, an arm of 0.3 deg and 0.5 mm: find_mount, then bundle adjustment", starts, |seed| {
         let mut rng = seeded(20_000 + seed);
         let mut truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);

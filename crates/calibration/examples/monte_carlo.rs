@@ -3,7 +3,8 @@
 //! RMSE of every parameter over many noisy recordings against the Cramer-Rao bound (at most 1.2 times), and the mean normalised estimation error squared
 //! (NEES) against its 95 % band. The bound is computed here by differences, apart from the library's own Jacobians.
 //!
-//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS]` (200 by default)
+//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS [PART...]]`: 200 runs by default, and of the parts `pairwise`, `tracks`, `full`,
+//! `encoder`, `known` all but the last. Runs are spread over the cores; each has a seed of its own, so that the tables do not depend on their number.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;
@@ -28,6 +29,19 @@ struct Scene {
     sensing: Sensing,
 }
 
+/// Sigma of the encoders' noise, degrees.
+const ENCODER_DEG: f64 = 0.003;
+
+/// What a run says of itself.
+struct Run {
+    /// Estimate less truth.
+    error: DVector<f64>,
+    nees: f64,
+    noise: Noise,
+    /// Postures that were left out although nothing is wrong with any.
+    left_out: usize,
+}
+
 enum Estimator {
     Pairwise,
     Bundle(DeviationPolicy),
@@ -48,32 +62,37 @@ fn main() {
             Sensing { sigma_px: 0.0, depth_relative: sensing.depth_relative.map(|_| 0.0), encoder: 0.0, ..sensing };
         tracked(truth, postures, &points, silent, free.clone(), sensing)
     };
+    let asked: Vec<String> = std::env::args().skip(2).collect();
+    let part = |name: &str| if asked.is_empty() { name != "known" } else { asked.iter().any(|asked| asked == name) };
     println!("{runs} runs each, 1920 x 1080, 70 deg, 0.5 px; bound by differences\n");
-    let ten = scene(&Free::Angles, angles, 0, half_pixel());
-    report(
-        "ten angles, the paper's 73 postures, pairwise: 72 pairs x 30 matches",
-        &two_view(&ten, 30),
-        &Estimator::Pairwise,
-        runs,
-    );
-    report(
-        "ten angles, the paper's 73 postures, bundle adjustment of tracks",
-        &ten,
-        &Estimator::Bundle(DeviationPolicy::Off),
-        runs,
-    );
+    if part("pairwise") || part("tracks") {
+        let ten = scene(&Free::Angles, angles, 0, half_pixel());
+        if part("pairwise") {
+            let name = "ten angles, the paper's 73 postures, pairwise: 72 pairs x 30 matches";
+            report(name, &two_view(&ten, 30), &Estimator::Pairwise, runs);
+        }
+        if part("tracks") {
+            let name = "ten angles, the paper's 73 postures, bundle adjustment of tracks";
+            report(name, &ten, &Estimator::Bundle(DeviationPolicy::Off), runs);
+        }
+    }
     let list = Free::List(all);
-    let full = scene(&list, manufacture(), 40, rgbd);
-    report(
-        "24 parameters, RGB-D, 40 diverse postures, bundle adjustment",
-        &full,
-        &Estimator::Bundle(DeviationPolicy::Off),
-        runs,
-    );
-    let encoder = Sensing { encoder: 0.003f64.to_radians(), ..rgbd };
-    let noisy = scene(&list, manufacture(), 40, encoder);
-    let name = "the same with encoder noise of 0.003 deg, joint deviations and their sigma estimated";
-    report(name, &noisy, &Estimator::Bundle(DeviationPolicy::Estimated), runs);
+    if part("full") {
+        let full = scene(&list, manufacture(), 40, rgbd);
+        let name = "24 parameters, RGB-D, 40 diverse postures, bundle adjustment";
+        report(name, &full, &Estimator::Bundle(DeviationPolicy::Off), runs);
+    }
+    if part("encoder") || part("known") {
+        let noisy = scene(&list, manufacture(), 40, Sensing { encoder: ENCODER_DEG.to_radians(), ..rgbd });
+        if part("encoder") {
+            let name = "the same with encoder noise of 0.003 deg, joint deviations and their sigma estimated";
+            report(name, &noisy, &Estimator::Bundle(DeviationPolicy::Estimated), runs);
+        }
+        if part("known") {
+            let name = "the same with the sigma of the joint deviations told";
+            report(name, &noisy, &Estimator::Bundle(DeviationPolicy::SigmaDeg(ENCODER_DEG)), runs);
+        }
+    }
 }
 
 /// Keeps each track beside its point.
@@ -125,11 +144,11 @@ fn two_view(scene: &Scene, per_pair: usize) -> Scene {
 fn report(name: &str, scene: &Scene, estimator: &Estimator, runs: usize) {
     let parameters = scene.free.candidates(&scene.truth, true, false).expect("a list without gaps");
     let bound = cramer_rao(scene, &parameters);
-    let results: Vec<(DVector<f64>, f64)> =
-        (0..runs).into_par_iter().map(|run| one_run(scene, estimator, run, &parameters)).collect();
+    let results: Vec<Run> = (0..runs).into_par_iter().map(|run| one_run(scene, estimator, run, &parameters)).collect();
     let count = parameters.len();
-    let squares = results.iter().fold(DVector::zeros(count), |sum, (error, _)| sum + error.component_mul(error));
-    let nees = results.iter().map(|(_, nees)| nees).sum::<f64>() / runs as f64;
+    let squares = results.iter().fold(DVector::zeros(count), |sum, run| sum + run.error.component_mul(&run.error));
+    let mean = |of: &dyn Fn(&Run) -> f64| results.iter().map(of).sum::<f64>() / runs as f64;
+    let nees = mean(&|run| run.nees);
     let half = 1.96 * (2.0 * count as f64 / runs as f64).sqrt();
     println!("## {name}\n");
     println!("{} tracks, {} sights\n", scene.exact.tracks.len(), scene.exact.observation_count());
@@ -149,13 +168,22 @@ fn report(name: &str, scene: &Scene, estimator: &Estimator, runs: usize) {
     let (low, high) = (count as f64 - half, count as f64 + half);
     let verdict = |good: bool| if good { "ok" } else { "NOT REACHED" };
     println!("\nlargest ratio {worst:.3} (at most 1.2: {})", verdict(worst <= 1.2));
-    println!(
-        "mean NEES {nees:.2} of {count}, 95 % band {low:.2} to {high:.2}: {}\n",
-        verdict(nees > low && nees < high)
-    );
+    println!("mean NEES {nees:.2} of {count}, 95 % band {low:.2} to {high:.2}: {}", verdict(nees > low && nees < high));
+    print!("means: pixel noise {:.4} px", mean(&|run| run.noise.pixel));
+    if let Some(depth) = scene.sensing.depth_relative {
+        print!(", depth noise / truth {:.4}", mean(&|run| run.noise.depth_per_m.unwrap_or(f64::NAN)) / depth);
+    }
+    if results.iter().all(|run| run.noise.joint_deviation.is_some()) {
+        let sigma = |run: &Run| run.noise.joint_deviation.unwrap_or(f64::NAN).to_degrees();
+        let of = mean(&sigma);
+        let spread = mean(&|run| (sigma(run) - of).powi(2)).sqrt();
+        print!(", sigma of joint deviations {of:.5} deg (standard deviation {spread:.5})");
+    }
+    let left_out: usize = results.iter().map(|run| run.left_out).sum();
+    println!("; postures left out in all runs: {left_out}\n");
 }
 
-fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Parameter]) -> (DVector<f64>, f64) {
+fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Parameter]) -> Run {
     let mut rng = seeded(1000 + run as u64);
     let nominal = hp3j();
     let mut data = scene.exact.clone();
@@ -201,7 +229,9 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
     let unit = DMatrix::from_fn(parameters.len(), parameters.len(), |i, j| covariance[(i, j)] * scale[i] * scale[j]);
     let scaled = error.component_mul(&scale);
     let solved = unit.cholesky().expect("a covariance").solve(&scaled);
-    (error, scaled.dot(&solved))
+    let left_out = |warning: &&Warning| matches!(warning, Warning::SuspectPosture { left_out: true, .. });
+    let left_out = result.warnings.iter().filter(left_out).count();
+    Run { nees: scaled.dot(&solved), error, noise: result.noise, left_out }
 }
 
 /// Sigmas of the bound: information of all sights with points (and joint deviations under their prior) eliminated.

@@ -89,9 +89,9 @@ impl UndistortedPairs {
             distances.extend([distance_in_a, distance_in_b]);
             sampson.push(fundamental.sampson_distance(in_a, in_b).abs());
         });
-        let squares: f64 = distances.iter().map(|d| d * d).sum();
+        let (sum, squares) = distances.iter().fold((0.0, 0.0), |(sum, squares), d| (sum + d, squares + d * d));
         EpipolarStatistics {
-            error_function: self.error_function(rig, poses),
+            error_function: (sum / distances.len() as f64).sqrt(),
             rms_px: (squares / distances.len() as f64).sqrt(),
             median_px: crate::robust::median(&mut distances),
             median_sampson_px: crate::robust::median(&mut sampson),

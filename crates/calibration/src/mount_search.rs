@@ -1,13 +1,14 @@
 //! The mount when nothing is known of it: a global start.
 //!
-//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined on a sample of the pair matches with the camera at
-//! the flange's origin; the one whose epipolar distances are smallest wins and is refined on all. Every relative motion with a
+//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined by a few steps on a small sample of the pair matches,
+//! with the camera at the flange's origin at first; the better ones go on on a larger sample, and the best of those on all: the one whose epipolar distances are
+//! smallest wins. Every relative motion with a
 //! baseline constrains the mount through the matches themselves, so that no camera motion has to be decomposed first.
 
 use crate::pairwise::{Search, calibrate_pairwise_from};
 use crate::{
-    Calibration, CalibrationError, Correspondences, Free, Model, MountComponent, PairwiseOptions, Parameter,
-    PriorPolicy,
+    Calibration, CalibrationError, Correspondences, Free, Model, MountComponent, PairMatches, PairwiseOptions,
+    Parameter, PriorPolicy,
 };
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use rayon::prelude::*;
@@ -16,10 +17,16 @@ use skclam_rig::Rig;
 
 /// Orientations that are tried: no orientation is further than about 35 deg from one of them.
 const ORIENTATIONS: usize = 120;
-/// Matches that each of them looks at.
-const MATCHES: usize = 1500;
-/// How many of the best are refined further.
-const FINALISTS: usize = 4;
+/// What is looked at with how much effort, and how many of the best go on.
+struct Stage {
+    matches: usize,
+    iterations: usize,
+    kept: usize,
+}
+
+/// The last keeps those that are refined on all matches.
+const STAGES: [Stage; 2] =
+    [Stage { matches: 400, iterations: 8, kept: 20 }, Stage { matches: 1500, iterations: 15, kept: 3 }];
 
 /// Finds `flange_from_color` from pair matches alone; the rig's own mount is not looked at. The arm stays nominal.
 pub fn find_mount(nominal: &Rig, data: &Correspondences) -> Result<Calibration, CalibrationError> {
@@ -29,34 +36,29 @@ pub fn find_mount(nominal: &Rig, data: &Correspondences) -> Result<Calibration, 
         priors: PriorPolicy::Never,
         ..Default::default()
     };
-    let total = data.match_count();
-    let stride = total.div_ceil(MATCHES).max(1);
-    let mut sample = Correspondences { tracks: Vec::new(), boards: Vec::new(), ..data.clone() };
-    let mut at = 0;
-    for pair in &mut sample.pairs {
-        pair.matches.retain(|_| {
-            at += 1;
-            (at - 1) % stride == 0
-        });
-    }
-    sample.pairs.retain(|pair| !pair.matches.is_empty());
     let started = |rotation: UnitQuaternion<f64>| {
         let mut rig = nominal.clone();
         rig.flange_from_color = Isometry3::from_parts(Translation3::identity(), rotation);
         Model::new(rig)
     };
-    let quick = PairwiseOptions { max_iterations: 15, max_rounds: 1, ..options.clone() };
-    let mut found = (0..ORIENTATIONS)
-        .into_par_iter()
-        .map(|k| {
-            let start = started(orientation(k));
-            let refined = calibrate_pairwise_from(&start, &start.rig, &sample, &quick)?;
-            Ok((refined.epipolar_after.median_sampson_px, k, refined.model))
-        })
-        .collect::<Result<Vec<(f64, usize, Model)>, CalibrationError>>()?;
-    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut starts: Vec<Model> = (0..ORIENTATIONS).map(|k| started(orientation(k))).collect();
+    for Stage { matches, iterations, kept } in STAGES {
+        let sample = sample(data, matches);
+        let quick =
+            PairwiseOptions { max_iterations: iterations, max_rounds: 1, search: Search::Off, ..options.clone() };
+        let mut refined = starts
+            .par_iter()
+            .enumerate()
+            .map(|(k, start)| {
+                let refined = calibrate_pairwise_from(start, &start.rig, &sample, &quick)?;
+                Ok((refined.epipolar_after.median_sampson_px, k, refined.model))
+            })
+            .collect::<Result<Vec<(f64, usize, Model)>, CalibrationError>>()?;
+        refined.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        starts = refined.into_iter().take(kept).map(|(_, _, model)| model).collect();
+    }
     let mut best: Option<Calibration> = None;
-    for (_, _, start) in found.into_iter().take(FINALISTS) {
+    for start in starts {
         let options = PairwiseOptions { search: Search::Off, ..options.clone() };
         let refined = calibrate_pairwise_from(&start, nominal, data, &options)?;
         let error = |calibration: &Calibration| calibration.epipolar_after.median_sampson_px;
@@ -65,6 +67,20 @@ pub fn find_mount(nominal: &Rig, data: &Correspondences) -> Result<Calibration, 
         }
     }
     best.ok_or(CalibrationError::NothingFree)
+}
+
+/// About so many of the pair matches, every k-th.
+fn sample(data: &Correspondences, matches: usize) -> Correspondences {
+    let stride = data.match_count().div_ceil(matches).max(1);
+    let mut at = 0;
+    let mut thinned = |pair: &PairMatches| {
+        let from = at;
+        at += pair.matches.len();
+        let kept = pair.matches.iter().enumerate().filter(|(k, _)| (from + k) % stride == 0);
+        PairMatches { a: pair.a, b: pair.b, matches: kept.map(|(_, m)| *m).collect() }
+    };
+    let pairs = data.pairs.iter().map(&mut thinned).filter(|pair| !pair.matches.is_empty()).collect();
+    Correspondences { postures: data.postures.clone(), pairs, ..Default::default() }
 }
 
 /// The k-th of the orientations.

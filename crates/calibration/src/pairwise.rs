@@ -11,7 +11,7 @@ use crate::levenberg_marquardt::{
     Descent, DescentLimits, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
 };
 use crate::motion::Motion;
-use crate::pairwise_system::PairwiseSystem;
+use crate::pairwise_system::{Linearized, PairwiseSystem};
 use crate::prior::{self, Priors};
 use crate::robust::{coarse_scale, median, noise_scale};
 use crate::{
@@ -90,6 +90,14 @@ struct Round {
     sigma: f64,
 }
 
+/// A state with its cost and normal equations, priors included.
+struct Prepared {
+    state: Model,
+    information: DMatrix<f64>,
+    descent: DVector<f64>,
+    cost: f64,
+}
+
 #[derive(Debug, Default)]
 struct Effort {
     iterations: usize,
@@ -117,38 +125,62 @@ impl Problem<'_> {
         max_iterations: usize,
         effort: &mut Effort,
     ) -> Result<Descent<Model>, CalibrationError> {
-        let cost = self.cost(system, model, round)?;
         let limits = DescentLimits {
             max_iterations,
             cost_tolerance: self.tolerance,
             step_tolerance: 1e-10,
             sigma_tolerance: 0.0,
         };
-        // The normal equations of a state serve all dampings that are tried from it.
-        let mut linearized: Option<(Model, DMatrix<f64>, DVector<f64>)> = None;
+        // One pass over the matches gives a state's cost and its normal equations: those of the state that was left, for another damping, and those of the
+        // state that was tried.
+        let prepare = |state: &Model| -> Result<Prepared, CalibrationError> {
+            let Linearized { mut information, mut descent, cost } = system.linearize(state, round.loss, round.sigma)?;
+            self.priors.add_to(self.nominal, state, self.parameters, &mut information, &mut descent);
+            let cost = cost + self.priors.cost(self.nominal, state, self.parameters);
+            Ok(Prepared { state: state.clone(), information, descent, cost })
+        };
+        let mut left = prepare(model)?;
+        let mut tried: Option<Prepared> = None;
+        let cost = left.cost;
         let descent = descend(model.clone(), cost, limits, |state, damping| {
-            let (_, information, gradient) = match linearized.take() {
-                Some(known) if known.0 == *state => linearized.insert(known),
-                _ => {
-                    let (mut h, mut g) = system.linearize(state, round.loss, round.sigma)?;
-                    self.priors.add_to(self.nominal, state, self.parameters, &mut h, &mut g);
-                    linearized.insert((state.clone(), h, g))
-                }
-            };
-            let step = damped_solve(information, gradient, self.parameters, damping)?;
-            let moved = state.stepped(self.parameters, step.as_slice())?;
-            Ok(Proposal {
-                cost: self.cost(system, &moved, round)?,
-                state: moved,
+            if let Some(tried) = tried.take().filter(|tried| tried.state == *state) {
+                left = tried;
+            }
+            let step = damped_solve(&left.information, &left.descent, self.parameters, damping)?;
+            let moved = prepare(&state.stepped(self.parameters, step.as_slice())?)?;
+            let proposal = Proposal {
+                cost: moved.cost,
+                state: moved.state.clone(),
                 step: scaled_norm(self.parameters, &step),
                 sigmas: f64::INFINITY,
-                predicted: predicted_gain(information, gradient, &step),
-            })
+                predicted: predicted_gain(&left.information, &left.descent, &step),
+            };
+            tried = Some(moved);
+            Ok(proposal)
         })?;
         effort.iterations += descent.iterations;
         effort.evaluations += descent.evaluations;
         effort.rounds += 1;
         Ok(descent)
+    }
+
+    /// Most of the way on a sample of the matches, where there are many: only the last steps need all of them.
+    fn approach(
+        &self,
+        start: &Model,
+        pairs: &[PairMatches],
+        motion: &Motion,
+        loss: Loss,
+        effort: &mut Effort,
+    ) -> Result<Model, CalibrationError> {
+        let sample = sample(pairs);
+        let system = PairwiseSystem::new(&sample, motion, self.parameters);
+        let round = Round { loss, sigma: noise_scale(&system.residuals(start)?).max(EXACT_PX) };
+        let mut ahead = Effort::default();
+        let descent = self.descend(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
+        effort.iterations += ahead.iterations;
+        effort.evaluations += ahead.evaluations;
+        Ok(descent.state)
     }
 
     /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model whose smallest third of
@@ -160,16 +192,7 @@ impl Problem<'_> {
         motion: &Motion,
         effort: &mut Effort,
     ) -> Result<(Model, f64), CalibrationError> {
-        let total: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
-        let stride = total.div_ceil(SEARCH_MATCHES).max(1);
-        let sample: Vec<PairMatches> = pairs
-            .iter()
-            .map(|pair| PairMatches {
-                a: pair.a,
-                b: pair.b,
-                matches: pair.matches.iter().copied().step_by(stride).collect(),
-            })
-            .collect();
+        let sample = sample(pairs);
         let system = PairwiseSystem::new(&sample, motion, self.parameters);
         let mut best: Option<(f64, Model)> = None;
         for width in SEARCH_WIDTHS {
@@ -193,6 +216,14 @@ impl Problem<'_> {
         let sigma = noise_scale(&system.residuals(&model)?);
         Ok((model, if sigma > 0.0 { sigma } else { scale }))
     }
+}
+
+/// Every k-th match, so that about [`SEARCH_MATCHES`] are left.
+fn sample(pairs: &[PairMatches]) -> Vec<PairMatches> {
+    let total: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
+    let stride = total.div_ceil(SEARCH_MATCHES).max(1);
+    let thinned = |pair: &PairMatches| pair.matches.iter().copied().step_by(stride).collect();
+    pairs.iter().map(|pair| PairMatches { a: pair.a, b: pair.b, matches: thinned(pair) }).collect()
 }
 
 /// Minimises robust Sampson distances over the free parameters.
@@ -246,6 +277,11 @@ pub fn calibrate_pairwise_from(
     let mut effort = Effort::default();
     let (mut model, sigma) = match options.search {
         Search::Widths => problem.search(start, &pairs, &motion, &mut effort)?,
+        Search::Off if matches > 2 * SEARCH_MATCHES => {
+            let near = problem.approach(start, &pairs, &motion, options.loss, &mut effort)?;
+            let sigma = noise_scale(&system.residuals(&near)?);
+            (near, sigma)
+        }
         Search::Off => (start.clone(), noise_scale(&system.residuals(start)?)),
     };
     let freedom = degrees_of_freedom_factor(matches, parameters.len());
@@ -265,7 +301,7 @@ pub fn calibrate_pairwise_from(
         warnings.push(Warning::NotConverged { reason: reason.to_string() });
     }
 
-    let (information, _) = system.linearize(&model, round.loss, round.sigma)?;
+    let information = system.linearize(&model, round.loss, round.sigma)?.information;
     let factor = efficiency_factor(&residuals, round.loss, round.sigma);
     let mut posterior = &information / factor;
     priors.add_to(nominal, &model, &parameters, &mut posterior, &mut DVector::zeros(parameters.len()));
@@ -293,12 +329,18 @@ pub fn calibrate_pairwise_from(
             median_sigmas: median(sizes) / round.sigma,
         })
         .collect();
+    // The pixels without distortion serve the calibrated rig too if its camera is still the same.
+    let epipolar_after = if model.rig.color == nominal.color && pairs.len() == data.pairs.len() {
+        undistorted.statistics(&model.rig, &motion.poses(&model, &[])?)
+    } else {
+        epipolar_statistics(&model, data)?
+    };
     Ok(Calibration {
         parameters: estimates,
         covariance: Some(covariance),
         identifiability: Some(identifiability),
         epipolar_before: undistorted.statistics(nominal, &nominal_poses),
-        epipolar_after: epipolar_statistics(&model, data)?,
+        epipolar_after,
         reprojection_before: None,
         reprojection_after: None,
         noise: Noise { pixel: round.sigma, outlier_fraction, ..Noise::default() },

@@ -16,6 +16,13 @@ type Sights = Vec<(Sight, Sight)>;
 
 const WITH_INTRINSICS: usize = 6 + INTRINSICS;
 
+/// Weighted normal matrix and descent direction (the negative gradient) by the parameters, and the sum of the losses.
+pub(crate) struct Linearized {
+    pub information: DMatrix<f64>,
+    pub descent: DVector<f64>,
+    pub cost: f64,
+}
+
 pub(crate) struct PairwiseSystem<'a> {
     pairs: &'a [PairMatches],
     motion: &'a Motion,
@@ -95,13 +102,8 @@ impl<'a> PairwiseSystem<'a> {
         }))
     }
 
-    /// Weighted normal matrix and descent direction (the negative gradient) by the parameters.
-    pub(crate) fn linearize(
-        &self,
-        model: &Model,
-        loss: Loss,
-        sigma: f64,
-    ) -> Result<(DMatrix<f64>, DVector<f64>), CalibrationError> {
+    /// Normal equations by the parameters, and the cost.
+    pub(crate) fn linearize(&self, model: &Model, loss: Loss, sigma: f64) -> Result<Linearized, CalibrationError> {
         let cameras = (0..self.motion.len())
             .map(|posture| self.motion.linearize(model, self.parameters, posture, &[]))
             .collect::<Result<Vec<_>, _>>()?;
@@ -132,12 +134,12 @@ impl<'a> PairwiseSystem<'a> {
                 if self.intrinsics_free {
                     self.chunk_with_intrinsics(model, &relative[pair], sights, loss, sigma)
                 } else {
-                    let (h, g) = chunk(&relative[pair], sights, loss, sigma);
+                    let (h, g, cost) = chunk(&relative[pair], sights, loss, sigma);
                     let mut wide = SMatrix::<f64, WITH_INTRINSICS, WITH_INTRINSICS>::zeros();
                     wide.fixed_view_mut::<6, 6>(0, 0).copy_from(&h);
                     let mut tall = SVector::<f64, WITH_INTRINSICS>::zeros();
                     tall.fixed_rows_mut::<6>(0).copy_from(&g);
-                    (wide, tall)
+                    (wide, tall, cost)
                 }
             };
             self.chunks.par_iter().zip(sights).map(of_chunk).collect::<Vec<_>>()
@@ -147,16 +149,18 @@ impl<'a> PairwiseSystem<'a> {
                 (SMatrix::<f64, WITH_INTRINSICS, WITH_INTRINSICS>::zeros(), SVector::<f64, WITH_INTRINSICS>::zeros());
                 self.pairs.len()
             ];
-        for (&(pair, ..), (h, g)) in self.chunks.iter().zip(&partial) {
+        let mut cost = 0.0;
+        for (&(pair, ..), (h, g, part)) in self.chunks.iter().zip(&partial) {
             of_pair[pair].0 += h;
             of_pair[pair].1 += g;
+            cost += part;
         }
         for (pair, (h, g)) in of_pair.iter().enumerate() {
             let columns = columns(pair);
             information += columns.transpose() * (h * &columns);
             descent += columns.transpose() * g;
         }
-        Ok((information, descent))
+        Ok(Linearized { information, descent, cost })
     }
 
     fn chunk_with_intrinsics(
@@ -166,13 +170,15 @@ impl<'a> PairwiseSystem<'a> {
         sights: &[(Sight, Sight)],
         loss: Loss,
         sigma: f64,
-    ) -> (SMatrix<f64, WITH_INTRINSICS, WITH_INTRINSICS>, SVector<f64, WITH_INTRINSICS>) {
+    ) -> (SMatrix<f64, WITH_INTRINSICS, WITH_INTRINSICS>, SVector<f64, WITH_INTRINSICS>, f64) {
+        let mut cost = 0.0;
         let mut information = SMatrix::<f64, WITH_INTRINSICS, WITH_INTRINSICS>::zeros();
         let mut descent = SVector::<f64, WITH_INTRINSICS>::zeros();
         for (a, b) in sights {
             let distance = relative.differentiate(a, b);
             let by_intrinsics = relative.by_intrinsics(&model.rig.color, a, b);
             let weight = loss.weight(distance.value / sigma) / (sigma * sigma);
+            cost += loss.rho(distance.value / sigma);
             let mut row = SVector::<f64, WITH_INTRINSICS>::zeros();
             row.fixed_rows_mut::<6>(0).copy_from(&distance.by_twist);
             row.fixed_rows_mut::<INTRINSICS>(6).copy_from(&by_intrinsics);
@@ -180,28 +186,36 @@ impl<'a> PairwiseSystem<'a> {
             descent.axpy(-weight * distance.value, &row, 1.0);
         }
         information.fill_upper_triangle_with_lower_triangle();
-        (information, descent)
+        (information, descent, cost)
     }
 }
 
-/// Normal equations of one pair's matches by its relative twist.
+/// Normal equations and cost of one pair's matches by its relative twist.
 fn chunk(
     relative: &RelativePose,
     sights: &[(Sight, Sight)],
     loss: Loss,
     sigma: f64,
-) -> (SMatrix<f64, 6, 6>, Vector6<f64>) {
+) -> (SMatrix<f64, 6, 6>, Vector6<f64>, f64) {
+    let mut cost = 0.0;
     let mut information = SMatrix::<f64, 6, 6>::zeros();
     let mut descent = Vector6::zeros();
     let inverse_variance = 1.0 / (sigma * sigma);
     for (a, b) in sights {
         let distance = relative.differentiate(a, b);
         let weight = loss.weight(distance.value / sigma) * inverse_variance;
+        cost += loss.rho(distance.value / sigma);
         let weighted = distance.by_twist * weight;
-        information += weighted * distance.by_twist.transpose();
+        // The lower triangle says it all.
+        for (column, sums) in information.data.0.iter_mut().enumerate() {
+            for row in column..6 {
+                sums[row] += weighted[row] * distance.by_twist[column];
+            }
+        }
         descent -= weighted * distance.value;
     }
-    (information, descent)
+    information.fill_upper_triangle_with_lower_triangle();
+    (information, descent, cost)
 }
 
 #[cfg(test)]
@@ -227,7 +241,8 @@ mod tests {
         let model = Model::new(nominal);
         for loss in [Loss::Squared, Loss::Cauchy(1.5)] {
             let sigma = 5.0;
-            let (_, descent) = system.linearize(&model, loss, sigma).unwrap();
+            let Linearized { descent, cost, .. } = system.linearize(&model, loss, sigma).unwrap();
+            assert!((cost / system.cost(&model, loss, sigma).unwrap() - 1.0).abs() < 1e-12);
             for (k, &parameter) in parameters.iter().enumerate() {
                 let step = 1e-6;
                 let at = |s: f64| system.cost(&model.stepped(&[parameter], &[s]).unwrap(), loss, sigma).unwrap();

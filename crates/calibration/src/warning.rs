@@ -74,6 +74,11 @@ pub enum Warning {
         /// The same without.
         without_px: Option<f64>,
     },
+    /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is free to explain them.
+    LargeResiduals {
+        /// Sigma of a coordinate in units of what its observation says of itself (px where that is 1).
+        sigma: f64,
+    },
     /// The solver did not converge.
     NotConverged {
         /// How it ended.
@@ -133,6 +138,10 @@ impl fmt::Display for Warning {
                 }
                 write!(f, "they were left at zero")
             }
+            Warning::LargeResiduals { sigma } => write!(
+                f,
+                "even the sights that fit are {sigma:.1} px off where features are good to one: matches contradict each other (repeated texture, a scene that moved), or the nominal rig is wrong in what is not free; do not trust this calibration"
+            ),
             Warning::NotConverged { reason } => write!(f, "the solver {reason}"),
         }
     }

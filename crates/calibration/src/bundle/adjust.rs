@@ -1,5 +1,6 @@
 //! One descent of everything that moves, and the covariance at its end.
 
+use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
 use crate::bundle::reduced::{Chunk, corner_cost, follow, reduce, track_chunks, track_cost};
 use crate::bundle::residuals::{ResidualSize, residual_sizes};
@@ -30,6 +31,8 @@ pub(crate) struct Adjustment<'a> {
     pub priors: &'a Priors,
     pub loss: Loss,
     pub noise: NoiseScales,
+    /// How the loss stands beside the prior of the deviations.
+    pub balance: Balance,
 }
 
 impl Adjustment<'_> {
@@ -53,9 +56,12 @@ impl Adjustment<'_> {
         let view = state.view(&self.noise, self.loss);
         let corners = corner_cost(self.observations, &view, state.base_from_board.as_ref());
         let deviations: f64 = state.deviations.iter().map(|d| (d / self.noise.deviation).powi(2)).sum();
-        corners + 0.5 * deviations + self.priors.cost(self.nominal, &state.model, self.parameters)
+        corners
+            + 0.5 * self.balance.prior_weight * deviations
+            + self.priors.cost(self.nominal, &state.model, self.parameters)
     }
 
+    /// The prior of the deviations as the descent hears it.
     fn add_deviation_prior(
         &self,
         unknowns: &Unknowns<'_>,
@@ -63,7 +69,7 @@ impl Adjustment<'_> {
         information: &mut DMatrix<f64>,
         descent: &mut DVector<f64>,
     ) {
-        let weight = 1.0 / (self.noise.deviation * self.noise.deviation);
+        let weight = self.balance.prior_weight / (self.noise.deviation * self.noise.deviation);
         for (k, deviation) in state.deviations.iter().enumerate() {
             let at = unknowns.first_deviation() + k;
             information[(at, at)] += weight;
@@ -118,16 +124,20 @@ impl Adjustment<'_> {
         residual_sizes(self.observations, &self.chunks(), &view, &state.points, state.base_from_board.as_ref())
     }
 
-    /// Information of the data about all unknowns, points eliminated; with the prior of the deviations, without those of the parameters.
-    pub(crate) fn information(&self, state: &State) -> Result<DMatrix<f64>, CalibrationError> {
+    /// Information of the data about all unknowns, points eliminated, less what the loss wastes of it; with the prior of the deviations for a sigma, without
+    /// those of the parameters.
+    pub(crate) fn information(&self, state: &State, deviation: f64) -> Result<DMatrix<f64>, CalibrationError> {
         let unknowns = self.unknowns(state);
         let view = state.view(&self.noise, self.loss);
         let board = state.base_from_board.as_ref();
         let columns = unknowns.columns(self.motion, state)?;
         let shared = unknowns.shared_free();
         let (system, _) = reduce(self.observations, &self.chunks(), &view, &state.points, board, shared, 0.0);
-        let (mut information, mut descent) = unknowns.assemble(&system, &columns);
-        self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
+        let mut information = unknowns.assemble(&system, &columns).0 / self.balance.efficiency_factor;
+        (0..state.deviations.len()).for_each(|k| {
+            let at = unknowns.first_deviation() + k;
+            information[(at, at)] += 1.0 / (deviation * deviation);
+        });
         Ok(information)
     }
 
@@ -190,12 +200,15 @@ pub(crate) fn marginal(information: &DMatrix<f64>, count: usize) -> DMatrix<f64>
     }
 }
 
-/// Diagonal of the inverse; `None` where it is not positive definite.
-pub(crate) fn variances(information: &DMatrix<f64>) -> Option<DVector<f64>> {
+/// The inverse; `None` where it is not positive definite.
+pub(crate) fn inverse(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let scale = DVector::from_fn(information.nrows(), |k, _| 1.0 / information[(k, k)].max(1e-300).sqrt());
     let scaled = DMatrix::from_fn(information.nrows(), information.ncols(), |i, j| {
         information[(i, j)] * scale[i] * scale[j] + if i == j { 1e-13 } else { 0.0 }
     });
-    let inverse = scaled.cholesky()?.inverse();
-    Some(DVector::from_fn(information.nrows(), |k, _| inverse[(k, k)] * scale[k] * scale[k]))
+    let mut inverse = scaled.cholesky()?.inverse();
+    for (j, mut column) in inverse.column_iter_mut().enumerate() {
+        column.iter_mut().zip(scale.iter()).for_each(|(value, s)| *value *= s * scale[j]);
+    }
+    Some(inverse)
 }

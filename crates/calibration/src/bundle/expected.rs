@@ -4,6 +4,7 @@
 //! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
@@ -114,8 +115,9 @@ pub fn expected_calibration(
         priors: &priors,
         loss: Loss::Squared,
         noise,
+        balance: Balance::EVEN,
     };
-    let information = marginal(&adjustment.information(&state)?, parameters.len());
+    let information = marginal(&adjustment.information(&state, noise.deviation)?, parameters.len());
     let Told { covariance, identifiability, parameters: estimates } =
         tell(nominal, &model, &data.postures, &parameters, &priors, &information, 1.0);
     let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;

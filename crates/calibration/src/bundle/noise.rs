@@ -68,30 +68,48 @@ fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square
     scale
 }
 
-/// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix. Residuals of two dimensions bend with the mean of
-/// `psi'` and `psi / u`.
-pub(crate) fn efficiency_factor(sizes: &[ResidualSize], loss: Loss) -> f64 {
-    let (mut psi2, mut weight, mut curvature, mut freedom) = (0.0, 0.0, 0.0, 0.0);
-    let mut hear = |u: f64, dimensions: f64, share: f64| {
-        let (w, c) = (loss.weight(u), loss.curvature(u));
-        psi2 += (w * u).powi(2);
-        weight += dimensions * w;
-        curvature += if dimensions > 1.0 { w + c } else { c };
-        freedom += share;
-    };
-    for size in sizes.iter().filter(|s| s.pixel.is_finite() && s.pixel < OUTLIER_SIGMAS) {
-        hear(size.pixel, 2.0, size.pixel_freedom);
-        if let Some((u, share)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
-            hear(u, 1.0, share);
+/// How a robust loss stands beside a quadratic prior.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Balance {
+    /// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix (Huber and Ronchetti, "Robust Statistics", 2009, section 7.6):
+    /// `mean(psi^2) mean(w) / mean(psi')^2`.
+    pub efficiency_factor: f64,
+    /// `mean(psi^2) / mean(psi')`. A likelihood's score varies as much as it bends; that of a loss which bends more than its score varies would outshout a prior,
+    /// so that the prior is weighted with the same ratio. The variance of joint deviations would else come out too small.
+    pub prior_weight: f64,
+}
+
+impl Balance {
+    /// Before residuals are known, and for least squares: a likelihood.
+    pub(crate) const EVEN: Balance = Balance { efficiency_factor: 1.0, prior_weight: 1.0 };
+
+    /// Residuals of two dimensions bend with the mean of `psi'` and `psi / u`.
+    pub(crate) fn of(sizes: &[ResidualSize], loss: Loss) -> Balance {
+        let (mut psi2, mut weight, mut curvature) = (0.0, 0.0, 0.0);
+        let (mut freedom, mut count) = (0.0, 0.0);
+        let mut hear = |u: f64, dimensions: f64, share: f64| {
+            let (w, c) = (loss.weight(u), loss.curvature(u));
+            psi2 += (w * u).powi(2);
+            weight += dimensions * w;
+            curvature += if dimensions > 1.0 { w + c } else { c };
+            freedom += share;
+            count += dimensions;
+        };
+        for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
+            hear(size.pixel, 2.0, size.pixel_freedom);
+            if let Some((u, share)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
+                hear(u, 1.0, share);
+            }
+        }
+        if freedom <= 0.0 || curvature <= 0.0 {
+            return Balance::EVEN;
+        }
+        let (psi2, weight, curvature) = (psi2 / freedom, weight / count, curvature / count);
+        Balance {
+            efficiency_factor: (psi2 * weight / (curvature * curvature)).max(0.5),
+            prior_weight: (psi2 / curvature).clamp(0.5, 2.0),
         }
     }
-    let dimensions = sizes.iter().filter(|s| s.pixel.is_finite() && s.pixel < OUTLIER_SIGMAS);
-    let count: f64 = dimensions.map(|s| 2.0 + f64::from(s.depth.is_some_and(|(u, _)| u.abs() < OUTLIER_SIGMAS))).sum();
-    if freedom <= 0.0 || curvature <= 0.0 || count <= 0.0 {
-        return 1.0;
-    }
-    let (psi2, weight, curvature) = (psi2 / freedom, weight / count, curvature / count);
-    (psi2 * weight / (curvature * curvature)).max(0.5)
 }
 
 /// Distances in px over all sights.

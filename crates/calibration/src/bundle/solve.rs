@@ -1,7 +1,7 @@
 //! The estimator from start to result: find the way pairwise, adjust everything, estimate the noise, leave out what does not belong.
 
-use crate::bundle::adjust::{Adjustment, marginal, posed_state, variances};
-use crate::bundle::noise::{self, OUTLIER_SIGMAS, efficiency_factor, posture_fits, rescaled};
+use crate::bundle::adjust::{Adjustment, inverse, marginal, posed_state};
+use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
 use crate::bundle::start::{pairs_from_tracks, triangulate_all};
@@ -86,6 +86,8 @@ const FAR_OFF: f64 = 5.0;
 const FIRST_DEPTH: f64 = 0.01;
 /// Fewer sights of a kind do not tell its noise.
 const LEAST_OF_A_KIND: usize = 50;
+/// No feature is so bad, in units of the sigma that it came with.
+const LARGE_SIGMA: f64 = 5.0;
 /// The noise has settled when it changes by less than this fraction.
 const SETTLED: f64 = 0.01;
 
@@ -94,6 +96,7 @@ struct Adjusted {
     noise: NoiseScales,
     observations: Observations,
     sizes: Vec<ResidualSize>,
+    balance: Balance,
     termination: Termination,
 }
 
@@ -159,32 +162,38 @@ pub fn calibrate_bundle(
     // Most of the way on a sample, the last steps on everything. The sigma of the joints' deviations is held at first: estimated beside a posture that is wrong, it would grow
     // until deviations explain anything.
     let stride = all.sightings.len().div_ceil(SAMPLE_SIGHTS).max(1);
-    let mut sample = solve.adjust(&start, none, noise, all.sampled(stride), false)?;
+    let mut sample = solve.adjust(&start, none, noise, all.sampled(stride), true)?;
     let mut early = Vec::new();
     for _ in 0..EARLY_LOOKS {
         // The worst hide the less bad: look again without them.
-        let found = suspects(&judged(&sample.sizes, &sample.observations));
+        let mut found = suspects(&judged(&sample.sizes, &sample.observations));
+        if joints > 0 {
+            found.extend(solve.far_off(&sample)?);
+            found.sort_unstable();
+            found.dedup();
+            found.truncate((motion.len() / 5).saturating_sub(early.len()));
+        }
         if found.is_empty() || !options.leave_out_suspects {
             break;
         }
         early.extend(found);
         let rest = without(&early)?.sampled(stride);
         let Adjusted { state, noise, termination, .. } = sample;
-        sample = solve.adjust(&state.model, state.deviations, noise, rest, false)?;
+        sample = solve.adjust(&state.model, state.deviations, noise, rest, true)?;
         sample.termination.add_effort(&termination);
     }
     let everything = if early.is_empty() { all } else { without(&early)? };
-    let mut adjusted = if stride == 1 && early.is_empty() && !(joints > 0 && solve.estimates_deviations()) {
+    let mut adjusted = if stride == 1 && early.is_empty() && joints == 0 {
         sample
     } else {
         let Adjusted { state, noise, .. } = &sample;
-        let mut rest = solve.adjust(&state.model, state.deviations.clone(), *noise, everything, true)?;
+        let mut rest = solve.adjust(&state.model, state.deviations.clone(), *noise, everything, false)?;
         rest.termination.add_effort(&sample.termination);
         rest
     };
     let again = |from: &Adjusted, observations: Observations| -> Result<Adjusted, CalibrationError> {
         let deviations = from.state.deviations.clone();
-        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations, true)?;
+        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations, false)?;
         next.termination.add_effort(&from.termination);
         Ok(next)
     };
@@ -231,6 +240,18 @@ pub fn calibrate_bundle(
     solve.conclude(data, adjusted, fits, joints, warnings)
 }
 
+/// What the data tell of the joint deviations.
+struct DeviationsTold {
+    /// `None` where they tell too little.
+    sigma: Option<f64>,
+    /// How many of them are determined by the data rather than by their prior.
+    determined: f64,
+    /// Degrees of freedom of the sigma's estimate.
+    freedom: f64,
+    /// Postures whose deviations are far larger than the others' and than the sigma held until now.
+    far_off: Vec<usize>,
+}
+
 struct Solve<'a> {
     nominal: &'a Rig,
     motion: &'a Motion,
@@ -240,7 +261,13 @@ struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    fn adjustment<'b>(&'b self, observations: &'b Observations, noise: NoiseScales, loss: Loss) -> Adjustment<'b> {
+    fn adjustment<'b>(
+        &'b self,
+        observations: &'b Observations,
+        noise: NoiseScales,
+        loss: Loss,
+        balance: Balance,
+    ) -> Adjustment<'b> {
         Adjustment {
             nominal: self.nominal,
             motion: self.motion,
@@ -249,6 +276,7 @@ impl Solve<'_> {
             priors: self.priors,
             loss,
             noise,
+            balance,
         }
     }
 
@@ -285,6 +313,7 @@ impl Solve<'_> {
             priors: &priors,
             loss,
             noise,
+            balance: Balance::EVEN,
         };
         let state = match (deviations.is_empty(), state.base_from_board) {
             (true, Some(_)) => adjustment.descend(state, 50)?.state,
@@ -298,29 +327,30 @@ impl Solve<'_> {
         self.options.deviations == DeviationPolicy::Estimated && self.nominal.prior.joint_deviation_deg.is_none()
     }
 
-    /// Triangulates, then descends in rounds until the noise has settled.
+    /// Triangulates, then descends in rounds until the noise has settled. A `rough` adjustment holds the sigma of the deviations.
     fn adjust(
         &self,
         start: &Model,
         deviations: Vec<f64>,
         mut noise: NoiseScales,
         mut observations: Observations,
-        estimate_deviations: bool,
+        rough: bool,
     ) -> Result<Adjusted, CalibrationError> {
         let loss = self.options.loss;
         let joints = deviations.len();
         let mut state = posed_state(start, deviations, self.motion, &observations, &noise, loss)?;
-        let points = self.adjustment(&observations, noise, Loss::Cauchy(2.0)).triangulate(&state);
+        let points = self.adjustment(&observations, noise, Loss::Cauchy(2.0), Balance::EVEN).triangulate(&state);
         observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
         state.points = points.into_iter().flatten().collect();
         let unknown_count = self.parameters.len() + 6 * usize::from(state.base_from_board.is_some());
-        let mut sizes = self.adjustment(&observations, noise, loss).residual_sizes(&state);
+        let mut sizes = self.adjustment(&observations, noise, loss, Balance::EVEN).residual_sizes(&state);
         noise = rescaled(&sizes, &noise, 1.0);
+        let mut balance = Balance::EVEN;
         let (mut iterations, mut evaluations, mut rounds) = (0, 0, 0);
         let mut initial_cost = None;
         let (reason, final_cost) = loop {
             rounds += 1;
-            let adjustment = self.adjustment(&observations, noise, loss);
+            let adjustment = self.adjustment(&observations, noise, loss, balance);
             let descent = adjustment.descend(state, self.options.max_iterations)?;
             iterations += descent.iterations;
             evaluations += descent.evaluations;
@@ -328,7 +358,14 @@ impl Solve<'_> {
             state = descent.state;
             sizes = adjustment.residual_sizes(&state);
             let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
-            let left = 1.0 - unknown_count as f64 / freedom.max(1.0);
+            let next_balance = Balance::of(&sizes, loss);
+            let told = if joints > 0 && !rough {
+                self.deviations_told(&Adjustment { balance: next_balance, ..adjustment }, &state)?
+            } else {
+                None
+            };
+            let taken = unknown_count as f64 + told.as_ref().map_or(0.0, |told| told.determined);
+            let left = 1.0 - taken / freedom.max(1.0);
             let mut next = rescaled(&sizes, &noise, left);
             // How sure corners are beside other sights is not known beforehand either: each kind tells its own noise.
             let (of_tracks, of_corners) = sizes.split_at(observations.sightings.len().min(sizes.len()));
@@ -337,9 +374,9 @@ impl Solve<'_> {
                 next = rescaled(of_tracks, &noise, left);
                 corner_factor = (rescaled(of_corners, &noise, left).pixel / next.pixel).clamp(0.1, 10.0);
             }
-            if joints > 0 && estimate_deviations && self.estimates_deviations() {
+            if let (Some(sigma), true) = (told.and_then(|told| told.sigma), self.estimates_deviations()) {
                 // The fixed point is approached by small factors; their square halves the number of rounds.
-                let factor = (self.deviation_sigma(&adjustment, &state)? / noise.deviation).clamp(0.3, 3.0);
+                let factor = (sigma / noise.deviation).clamp(0.3, 3.0);
                 next.deviation = (noise.deviation * factor * factor).max(LEAST_DEVIATION);
             }
             let change = |old: f64, new: f64| (new / old - 1.0).abs();
@@ -348,42 +385,65 @@ impl Solve<'_> {
             let settled = change(noise.pixel, next.pixel) < SETTLED
                 && change(noise.depth, next.depth) < SETTLED
                 && change(corner_factor, 1.0) < 5.0 * SETTLED
-                && deviation_settled;
+                && deviation_settled
+                && (joints == 0 || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
             if settled || rounds >= self.options.max_rounds {
                 break (descent.reason, descent.cost);
             }
             noise = next;
             observations.scale_corner_sigma(corner_factor);
+            balance = next_balance;
         };
         let initial_cost = initial_cost.unwrap_or_default();
         let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };
-        Ok(Adjusted { state, noise, observations, sizes, termination })
+        Ok(Adjusted { state, noise, observations, balance: Balance::of(&sizes, loss), sizes, termination })
     }
 
-    /// The sigma under which the deviations are most likely (MacKay, "Bayesian interpolation", 1992): their squares over the number of
-    /// them that the data determine.
-    fn deviation_sigma(&self, adjustment: &Adjustment<'_>, state: &State) -> Result<f64, CalibrationError> {
-        let mut information = adjustment.information(state)?;
+    /// What the data tell of the joint deviations; `None` where their covariance cannot be had.
+    ///
+    /// The sigma is the one under which the data are most likely (MacKay, "Bayesian interpolation", 1992): squared deviations over the number of them that the
+    /// data determine.
+    fn deviations_told(
+        &self,
+        adjustment: &Adjustment<'_>,
+        state: &State,
+    ) -> Result<Option<DeviationsTold>, CalibrationError> {
+        let prior = adjustment.noise.deviation;
+        let mut information = adjustment.information(state, prior)?;
         let mut ignored = DVector::zeros(information.nrows());
         self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut ignored);
-        let prior = adjustment.noise.deviation;
-        let Some(variances) = variances(&information) else { return Ok(prior) };
-        let first = information.nrows() - state.deviations.len();
-        let joints = state.deviations.len() / self.motion.len();
+        let Some(covariance) = inverse(&information) else { return Ok(None) };
+        let count = state.deviations.len();
+        let first = information.nrows() - count;
+        let joints = count / self.motion.len();
+        let share = |k: usize| (1.0 - covariance[(first + k, first + k)] / (prior * prior)).clamp(0.0, 1.0);
         // Squares and determined numbers, posture by posture: one that stands far off (a bumped camera, wrong joints) is no encoder noise.
         let of_posture: Vec<(f64, f64)> = (0..self.motion.len())
             .map(|posture| {
                 let range = posture * joints..(posture + 1) * joints;
-                let determined =
-                    range.clone().map(|k| (1.0 - variances[first + k] / (prior * prior)).clamp(0.0, 1.0)).sum();
+                let determined = range.clone().map(share).sum();
                 (state.deviations[range].iter().map(|d| d * d).sum(), determined)
             })
             .collect();
         let ratio = |(squares, determined): &(f64, f64)| squares / determined.max(1e-3);
         let usual = median(&mut of_posture.iter().map(ratio).collect::<Vec<_>>());
-        let kept = of_posture.iter().filter(|posture| ratio(posture) <= FAR_OFF * FAR_OFF * usual);
+        let limit = FAR_OFF * FAR_OFF * usual;
+        let kept = of_posture.iter().filter(|posture| ratio(posture) <= limit);
         let (squares, determined) = kept.fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-        if determined < 0.5 { Ok(prior) } else { Ok((squares / determined).sqrt()) }
+        let limit = limit.max((FAR_OFF * prior).powi(2));
+        let far_off = (0..of_posture.len()).filter(|&posture| ratio(&of_posture[posture]) > limit).collect();
+        // Twice the information about the logarithm of the variance: the squared norm of `1 - covariance / prior`.
+        let spread = covariance.view((first, first), (count, count)) / (prior * prior);
+        let freedom = (0..count).map(|k| 1.0 - 2.0 * spread[(k, k)]).sum::<f64>() + spread.norm_squared();
+        let sigma = (determined >= 0.5).then(|| (squares / determined).sqrt());
+        Ok(Some(DeviationsTold { sigma, determined: (0..count).map(share).sum(), freedom, far_off }))
+    }
+
+    /// Postures whose joints would have to deviate far more than those of the others.
+    fn far_off(&self, adjusted: &Adjusted) -> Result<Vec<usize>, CalibrationError> {
+        let Adjusted { state, noise, observations, balance, .. } = adjusted;
+        let adjustment = self.adjustment(observations, *noise, self.options.loss, *balance);
+        Ok(self.deviations_told(&adjustment, state)?.map_or_else(Vec::new, |told| told.far_off))
     }
 
     fn conclude(
@@ -394,27 +454,29 @@ impl Solve<'_> {
         joints: usize,
         mut warnings: Vec<Warning>,
     ) -> Result<Calibration, CalibrationError> {
-        let Adjusted { state, noise, observations, sizes, termination } = adjusted;
+        let Adjusted { state, noise, observations, sizes, balance, termination } = adjusted;
         let loss = self.options.loss;
         if !termination.reason.is_converged() {
             warnings.push(Warning::NotConverged { reason: termination.reason.to_string() });
         }
         let count = self.parameters.len();
-        let adjustment = self.adjustment(&observations, noise, loss);
-        let information = marginal(&adjustment.information(&state)?, count);
-        let Told { covariance, identifiability, parameters: estimates } = tell(
-            self.nominal,
-            &state.model,
-            &data.postures,
-            self.parameters,
-            self.priors,
-            &information,
-            efficiency_factor(&sizes, loss),
-        );
+        let adjustment = self.adjustment(&observations, noise, loss, balance);
+        let told = match joints > 0 && self.estimates_deviations() {
+            true => self.deviations_told(&adjustment, &state)?,
+            false => None,
+        };
+        // A sigma that was estimated with few degrees of freedom makes of the normal distribution one of Student's, whose covariance is wider.
+        let wider = told.map_or(1.0, |told| (told.freedom.max(4.0) / (told.freedom.max(4.0) - 2.0)).sqrt());
+        let information = marginal(&adjustment.information(&state, noise.deviation * wider)?, count);
+        let Told { covariance, identifiability, parameters: estimates } =
+            tell(self.nominal, &state.model, &data.postures, self.parameters, self.priors, &information, 1.0);
         let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
         let outlier_fraction = outliers as f64 / sizes.len().max(1) as f64;
         if outlier_fraction > 0.5 {
             warnings.push(Warning::ManyOutliers { fraction: outlier_fraction });
+        }
+        if noise.pixel > LARGE_SIGMA {
+            warnings.push(Warning::LargeResiduals { sigma: noise.pixel });
         }
         let nominal_model = Model::new(self.nominal.clone());
         let before = self.evaluate(&nominal_model, &[], &observations, noise, Some(&state))?;

@@ -3,7 +3,7 @@
 use super::{HeldOutSummary, PoseSigmaSummary};
 use crate::dataset::Dataset;
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Calibration, Correspondences, Parameter};
+use skclam_calibration::{Calibration, Correspondences, Parameter, Warning};
 use skclam_kinematics::ParameterKind;
 use std::fmt;
 
@@ -101,6 +101,19 @@ impl Verdict {
                 format!(
                     "DO NOT TRUST this calibration: {fitted}, and above {UNEXPLAINED_PX} px the rig does not fit the images. \
                      Do images and joint values belong together? Are the intrinsics right? Are enough parameters free?"
+                ),
+            );
+        }
+        let contradiction = calibration.warnings.iter().find_map(|warning| match warning {
+            Warning::LargeResiduals { sigma } => Some(*sigma),
+            _ => None,
+        });
+        if let Some(sigma) = contradiction {
+            return told(
+                VerdictGrade::Bad,
+                format!(
+                    "DO NOT TRUST this calibration: even the sights that fit are {sigma:.1} px off. \
+                     Do matches contradict each other (repeated texture, a scene that moved)? Are enough parameters free?"
                 ),
             );
         }
