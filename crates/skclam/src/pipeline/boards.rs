@@ -48,8 +48,8 @@ const NEARLY_ALL: f64 = 0.9;
 /// Whether the board is heard alone.
 ///
 /// Corners are named beyond doubt and known to a few hundredths of a pixel. Natural features of a scene that was arranged for a board are
-/// few, short-lived, and on bright metal they are reflections that move with the camera: wrong matches that agree with each other. They are wanted where
-/// the board is missing, and where they bring depth, which a board's corners do not.
+/// few and short-lived; on the one real recording at hand they made the fit worse (benchmarks/estimator, 2026-11-23-board). They are wanted where the board is
+/// missing, and where they bring depth, which a board's corners do not.
 pub(super) fn board_alone(chosen: BoardUse, seen: usize, postures: usize, has_depth: bool) -> bool {
     match chosen {
         BoardUse::Alone => seen > 0,
