@@ -5,9 +5,11 @@
 //! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
 
 mod adjust;
+mod deviations;
 mod expected;
 mod noise;
 mod observations;
+mod options;
 mod pose_system;
 mod reduced;
 mod residuals;
@@ -24,6 +26,7 @@ mod view;
 pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration};
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
+pub use options::{BundleOptions, DeviationPolicy};
+pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;
-pub use solve::{BundleOptions, DeviationPolicy, calibrate_bundle};
 pub(crate) use state::NoiseScales;

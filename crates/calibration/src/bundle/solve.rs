@@ -1,10 +1,11 @@
 //! The estimator from start to result: find the way pairwise, adjust everything, estimate the noise, leave out what does not belong.
 
-use crate::bundle::adjust::{Adjustment, inverse, marginal, posed_state};
+use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::deviations::deviation_unknowns;
 use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
-use crate::bundle::start::{pairs_from_tracks, triangulate_all};
+use crate::bundle::start::{start, triangulate_all};
 use crate::bundle::state::{NoiseScales, State};
 use crate::bundle::suspects::{judged, suspects};
 use crate::error_function::epipolar_statistics;
@@ -13,75 +14,17 @@ use crate::prior::{self, Priors};
 use crate::robust::median;
 use crate::uncertainty::{Told, tell};
 use crate::{
-    Calibration, CalibrationError, Correspondences, Free, Loss, Model, Noise, PairMatches, PairwiseOptions, Parameter,
-    PostureFit, PriorPolicy, ReprojectionStatistics, Termination, Warning, calibrate_pairwise,
+    BundleOptions, Calibration, CalibrationError, Correspondences, DeviationPolicy, Loss, Model, Noise, Parameter,
+    PostureFit, ReprojectionStatistics, Termination, Warning,
 };
-use nalgebra::DVector;
-use serde::{Deserialize, Serialize};
 use skclam_rig::Rig;
-
-/// What is done about joints that stand off their values.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DeviationPolicy {
-    /// Joint values are exact.
-    Off,
-    /// They deviate with this sigma, degrees.
-    SigmaDeg(f64),
-    /// They deviate; the rig's `joint_deviation_deg` is their sigma, or it is estimated.
-    #[default]
-    Estimated,
-}
-
-/// Settings of the bundle adjustment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BundleOptions {
-    /// What is free.
-    pub free: Free,
-    /// Which priors are heard.
-    pub priors: PriorPolicy,
-    /// The loss; its constant in sigmas.
-    pub loss: Loss,
-    /// What is done about joints that stand off their values.
-    pub deviations: DeviationPolicy,
-    /// Iterations of one round at most.
-    pub max_iterations: usize,
-    /// Rounds (re-estimations of the noise) at most.
-    pub max_rounds: usize,
-    /// Unknown deviations at most; beyond, they are left at zero with a warning.
-    pub max_deviations: usize,
-    /// Whether postures that do not fit are left out, or only named.
-    pub leave_out_suspects: bool,
-}
-
-impl Default for BundleOptions {
-    fn default() -> Self {
-        BundleOptions {
-            free: Free::Auto,
-            priors: PriorPolicy::Auto,
-            loss: Loss::Tukey(7.0),
-            deviations: DeviationPolicy::Estimated,
-            max_iterations: 100,
-            max_rounds: 12,
-            max_deviations: 1200,
-            leave_out_suspects: true,
-        }
-    }
-}
 
 /// Sights that the descent looks at until it has settled; then all.
 const SAMPLE_SIGHTS: usize = 60_000;
-/// Matches that the pairwise start looks at.
-const START_MATCHES: usize = 20_000;
-/// Sigma of the deviations before the data are heard, rad (0.003 deg).
-const FIRST_DEVIATION: f64 = 5.2e-5;
 /// Deviations below this (0.0003 deg) move no pixel by what can be measured, rad.
 const LEAST_DEVIATION: f64 = 5e-6;
 /// Times that the sample is searched for postures that are wrong.
 const EARLY_LOOKS: usize = 3;
-/// A posture whose deviations are so many times as large as those of the median posture says nothing about the encoders.
-const FAR_OFF: f64 = 5.0;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
 /// Fewer sights of a kind do not tell its noise.
@@ -240,24 +183,12 @@ pub fn calibrate_bundle(
     solve.conclude(data, adjusted, fits, joints, warnings)
 }
 
-/// What the data tell of the joint deviations.
-struct DeviationsTold {
-    /// `None` where they tell too little.
-    sigma: Option<f64>,
-    /// How many of them are determined by the data rather than by their prior.
-    determined: f64,
-    /// Degrees of freedom of the sigma's estimate.
-    freedom: f64,
-    /// Postures whose deviations are far larger than the others' and than the sigma held until now.
-    far_off: Vec<usize>,
-}
-
-struct Solve<'a> {
-    nominal: &'a Rig,
-    motion: &'a Motion,
-    parameters: &'a [Parameter],
-    priors: &'a Priors,
-    options: &'a BundleOptions,
+pub(super) struct Solve<'a> {
+    pub nominal: &'a Rig,
+    pub motion: &'a Motion,
+    pub parameters: &'a [Parameter],
+    pub priors: &'a Priors,
+    pub options: &'a BundleOptions,
 }
 
 impl Solve<'_> {
@@ -399,46 +330,6 @@ impl Solve<'_> {
         Ok(Adjusted { state, noise, observations, balance: Balance::of(&sizes, loss), sizes, termination })
     }
 
-    /// What the data tell of the joint deviations; `None` where their covariance cannot be had.
-    ///
-    /// The sigma is the one under which the data are most likely (MacKay, "Bayesian interpolation", 1992): squared deviations over the number of them that the
-    /// data determine.
-    fn deviations_told(
-        &self,
-        adjustment: &Adjustment<'_>,
-        state: &State,
-    ) -> Result<Option<DeviationsTold>, CalibrationError> {
-        let prior = adjustment.noise.deviation;
-        let mut information = adjustment.information(state, prior)?;
-        let mut ignored = DVector::zeros(information.nrows());
-        self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut ignored);
-        let Some(covariance) = inverse(&information) else { return Ok(None) };
-        let count = state.deviations.len();
-        let first = information.nrows() - count;
-        let joints = count / self.motion.len();
-        let share = |k: usize| (1.0 - covariance[(first + k, first + k)] / (prior * prior)).clamp(0.0, 1.0);
-        // Squares and determined numbers, posture by posture: one that stands far off (a bumped camera, wrong joints) is no encoder noise.
-        let of_posture: Vec<(f64, f64)> = (0..self.motion.len())
-            .map(|posture| {
-                let range = posture * joints..(posture + 1) * joints;
-                let determined = range.clone().map(share).sum();
-                (state.deviations[range].iter().map(|d| d * d).sum(), determined)
-            })
-            .collect();
-        let ratio = |(squares, determined): &(f64, f64)| squares / determined.max(1e-3);
-        let usual = median(&mut of_posture.iter().map(ratio).collect::<Vec<_>>());
-        let limit = FAR_OFF * FAR_OFF * usual;
-        let kept = of_posture.iter().filter(|posture| ratio(posture) <= limit);
-        let (squares, determined) = kept.fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-        let limit = limit.max((FAR_OFF * prior).powi(2));
-        let far_off = (0..of_posture.len()).filter(|&posture| ratio(&of_posture[posture]) > limit).collect();
-        // Twice the information about the logarithm of the variance: the squared norm of `1 - covariance / prior`.
-        let spread = covariance.view((first, first), (count, count)) / (prior * prior);
-        let freedom = (0..count).map(|k| 1.0 - 2.0 * spread[(k, k)]).sum::<f64>() + spread.norm_squared();
-        let sigma = (determined >= 0.5).then(|| (squares / determined).sqrt());
-        Ok(Some(DeviationsTold { sigma, determined: (0..count).map(share).sum(), freedom, far_off }))
-    }
-
     /// Postures whose joints would have to deviate far more than those of the others.
     fn far_off(&self, adjusted: &Adjusted) -> Result<Vec<usize>, CalibrationError> {
         let Adjusted { state, noise, observations, balance, .. } = adjusted;
@@ -512,67 +403,5 @@ fn over_inliers(before: &[ResidualSize], after: &[ResidualSize]) -> Reprojection
         median_px: median(&mut before.iter().map(|b| b.distance_px).collect::<Vec<_>>()),
         observations: before.len(),
         inliers: squares.len(),
-    }
-}
-
-/// How many joints deviate, and with which sigma at first.
-fn deviation_unknowns(
-    nominal: &Rig,
-    motion: &Motion,
-    options: &BundleOptions,
-    warnings: &mut Vec<Warning>,
-) -> (usize, f64) {
-    let stated = nominal.prior.joint_deviation_deg;
-    let sigma = match options.deviations {
-        DeviationPolicy::Off => return (0, FIRST_DEVIATION),
-        DeviationPolicy::SigmaDeg(deg) => deg.to_radians(),
-        DeviationPolicy::Estimated => stated.map_or(FIRST_DEVIATION, f64::to_radians),
-    };
-    let joints = if motion.has_joints() { nominal.robot.as_ref().map_or(0, |robot| robot.joint_count()) } else { 0 };
-    let unknowns = joints * motion.len();
-    if sigma <= 0.0 || joints == 0 {
-        return (0, FIRST_DEVIATION);
-    }
-    if unknowns > options.max_deviations {
-        warnings.push(Warning::DeviationsOff { unknowns, limit: options.max_deviations });
-        return (0, FIRST_DEVIATION);
-    }
-    (joints, sigma)
-}
-
-/// A model near enough for the descent, and the noise of its matches. Without enough pair matches it is the nominal one.
-fn start(
-    nominal: &Rig,
-    data: &Correspondences,
-    observations: &Observations,
-    parameters: &[Parameter],
-) -> Result<(Model, f64), CalibrationError> {
-    let mut pairs = if data.pairs.is_empty() { pairs_from_tracks(observations) } else { data.pairs.clone() };
-    let total: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
-    let stride = total.div_ceil(START_MATCHES).max(1);
-    for PairMatches { matches, .. } in &mut pairs {
-        let mut at = 0;
-        matches.retain(|_| {
-            at += 1;
-            (at - 1) % stride == 0
-        });
-    }
-    let free = parameters.iter().copied().filter(|p| !matches!(p, Parameter::DepthScale | Parameter::DepthOffset));
-    let options = PairwiseOptions {
-        free: Free::List(free.collect()),
-        priors: PriorPolicy::Always,
-        max_rounds: 12,
-        cost_tolerance: 1e-8,
-        ..Default::default()
-    };
-    let sample = Correspondences { postures: data.postures.clone(), pairs, ..Default::default() };
-    match calibrate_pairwise(nominal, &sample, &options) {
-        Ok(found) if found.epipolar_after.median_sampson_px < found.epipolar_before.median_sampson_px => {
-            // A Sampson distance has the sigma of a coordinate.
-            Ok((found.model, found.noise.pixel.max(1e-3)))
-        }
-        Ok(found) => Ok((Model::new(nominal.clone()), found.noise.pixel.max(1.0))),
-        Err(CalibrationError::TooFew { .. } | CalibrationError::NothingFree) => Ok((Model::new(nominal.clone()), 2.0)),
-        Err(error) => Err(error),
     }
 }

@@ -4,10 +4,14 @@ use crate::bundle::observations::{Observations, Sighting};
 use crate::bundle::reduced::track_chunks;
 use crate::bundle::view::View;
 use crate::robust::median;
-use crate::{PairMatch, PairMatches};
+use crate::{
+    CalibrationError, Correspondences, Free, Model, PairMatch, PairMatches, PairwiseOptions, Parameter, PriorPolicy,
+    calibrate_pairwise,
+};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use skclam_geometry::{Isometry3, Point3};
+use skclam_rig::Rig;
 
 /// Pairs of a track that are told as matches.
 const PAIRS_A_TRACK: usize = 6;
@@ -101,6 +105,46 @@ fn align(corners: &[(Point3, Point3)]) -> Option<Isometry3> {
     let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * handedness * v_t);
     let rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
     Some(Isometry3::from_parts((to - rotation * from).into(), rotation))
+}
+
+/// Matches that the pairwise start looks at.
+const START_MATCHES: usize = 20_000;
+
+/// A model near enough for the descent, and the noise of its matches. Without enough pair matches it is the nominal one.
+pub(crate) fn start(
+    nominal: &Rig,
+    data: &Correspondences,
+    observations: &Observations,
+    parameters: &[Parameter],
+) -> Result<(Model, f64), CalibrationError> {
+    let mut pairs = if data.pairs.is_empty() { pairs_from_tracks(observations) } else { data.pairs.clone() };
+    let total: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
+    let stride = total.div_ceil(START_MATCHES).max(1);
+    for PairMatches { matches, .. } in &mut pairs {
+        let mut at = 0;
+        matches.retain(|_| {
+            at += 1;
+            (at - 1) % stride == 0
+        });
+    }
+    let free = parameters.iter().copied().filter(|p| !matches!(p, Parameter::DepthScale | Parameter::DepthOffset));
+    let options = PairwiseOptions {
+        free: Free::List(free.collect()),
+        priors: PriorPolicy::Always,
+        max_rounds: 12,
+        cost_tolerance: 1e-8,
+        ..Default::default()
+    };
+    let sample = Correspondences { postures: data.postures.clone(), pairs, ..Default::default() };
+    match calibrate_pairwise(nominal, &sample, &options) {
+        Ok(found) if found.epipolar_after.median_sampson_px < found.epipolar_before.median_sampson_px => {
+            // A Sampson distance has the sigma of a coordinate.
+            Ok((found.model, found.noise.pixel.max(1e-3)))
+        }
+        Ok(found) => Ok((Model::new(nominal.clone()), found.noise.pixel.max(1.0))),
+        Err(CalibrationError::TooFew { .. } | CalibrationError::NothingFree) => Ok((Model::new(nominal.clone()), 2.0)),
+        Err(error) => Err(error),
+    }
 }
 
 #[cfg(test)]
