@@ -81,14 +81,15 @@ mod tests {
             let mut last = link(form, -0.8);
             last.form = if matches!(form, LinkForm::Hayati) { LinkForm::ModifiedDh } else { form };
             let chain = SerialChain::new(vec![
-                Joint::revolute("shoulder & <elbow>", link(form, 0.1)).with_limits(-2.0, 2.5),
+                Joint::revolute("shoulder", link(form, 0.1)).with_limits(-2.0, 2.5),
                 Joint::revolute("b", link(form, 0.6)),
                 Joint::revolute("c", last),
             ])
             .unwrap();
-            let text = bare_urdf(&chain, "an \"arm\"", "base_link", "tool0");
+            let text = bare_urdf(&chain, "an \"arm\" & <hand>", "base_link", "tool0");
             let back = chain_from_urdf(&text, "base_link", "tool0").unwrap();
-            assert_eq!(back.joints()[0].name, "shoulder & <elbow>");
+            assert_eq!(back.joints()[0].name, "shoulder");
+            assert!(text.contains("<robot name=\"an &quot;arm&quot; &amp; &lt;hand&gt;\">"), "{text}");
             assert_eq!((back.joints()[0].limits, back.joints()[1].limits), (Some([-2.0, 2.5]), None));
             for joints in [[0.0; 3], [0.4, -1.9, 2.2]] {
                 let (wanted, found) =
