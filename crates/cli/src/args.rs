@@ -135,6 +135,9 @@ pub struct RunArgs {
     /// Seed of every random choice.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from priors.
+    #[arg(long)]
+    pub no_depth: bool,
     /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is not looked at.
     #[arg(long)]
     pub find_mount: bool,

@@ -10,6 +10,8 @@ use clap::{CommandFactory, Parser};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    // A reader that has seen enough (head, less) ends the program quietly.
+    sigpipe::reset();
     let cli = Cli::parse();
     progress::watch_for_interrupt();
     match dispatch(&cli) {

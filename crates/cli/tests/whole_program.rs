@@ -77,6 +77,33 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
 }
 
 #[test]
+fn without_depth_one_length_holds_the_scale() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("result");
+    let free = "angles,a_2,d_4";
+    succeed(&["calibrate", utf8(cell()), "--no-depth", "--free", free, "--quiet", "--out", utf8(&out)]);
+    let summary = json(&fs::read_to_string(out.join("summary.json")).unwrap());
+    assert_eq!(number(&summary, "/counts/depth_images"), 0.0);
+    assert!(summary["calibration"]["depth_sigma_per_m"].is_null());
+    assert!(number(&summary, "/calibration/epipolar_after/median_px") < 0.3);
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_panic() {
+    use std::process::{Command, Stdio};
+    let mut child = Command::new(env!("CARGO_BIN_EXE_skclam"))
+        .args(["inspect", utf8(cell())])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_ne!(output.status.code(), Some(101), "{}", text(&output.stderr));
+    assert!(!text(&output.stderr).contains("panicked"), "{}", text(&output.stderr));
+}
+
+#[test]
 fn a_mount_that_nobody_knows_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let rig = folder.path().join("rig.toml");

@@ -39,6 +39,10 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
         None => Dataset::open(&args.dataset)?,
         Some(path) => Dataset::open_with_rig(&args.dataset, Rig::read(path)?)?,
     };
+    if args.no_depth {
+        dataset.rig.depth = None;
+        dataset.records.iter_mut().for_each(|record| record.depth = None);
+    }
     let config = config(args, &dataset.rig)?;
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let staged = StagedFolder::new(&args.out)?;
