@@ -4,7 +4,7 @@
 //! postures, of the tracks that touch them. Three rigs stand side by side: the nominal one, the nominal arm with its mount fitted, and the calibrated
 //! one. A mount that was only a guess makes every calibration look good; whether the *arm* was worth calibrating shows beside the second.
 
-use crate::bundle::{NoiseScales, OUTLIER_SIGMAS, Observations, compare};
+use crate::bundle::{OUTLIER_SIGMAS, Observations, compare};
 use crate::motion::Motion;
 use crate::robust::median;
 use crate::{
@@ -122,12 +122,11 @@ pub fn compare_models(
     if observations.sightings.is_empty() && observations.corners.is_empty() {
         return Ok(comparison);
     }
-    let noise = NoiseScales { pixel: sigma_px.max(1e-6), depth: 0.01, deviation: 1.0 };
     let gate = OUTLIER_SIGMAS * sigma_px.max(1.0);
     let sights = |other: &Model| {
-        let (others, calibrated) = compare(other, models.calibrated, &motion, &observations, noise)?;
+        let (others, calibrated) = compare(other, models.calibrated, &motion, &observations, sigma_px)?;
         let pairs = others.sizes.iter().zip(&calibrated.sizes).filter(|(size, _)| chosen(size.posture as usize));
-        Ok::<_, CalibrationError>(pairs.map(|(o, c)| [o.distance_px, c.distance_px]).collect::<Vec<_>>())
+        Ok::<_, CalibrationError>(pairs.map(|(o, c)| [o.distance_px(), c.distance_px()]).collect::<Vec<_>>())
     };
     let nominal = sights(models.nominal)?;
     let mount_only = models.mount_only.map(sights).transpose()?;

@@ -24,6 +24,7 @@ mod pairwise_system;
 mod parameter;
 mod pose_covariance;
 mod prior;
+mod reprojection_residuals;
 mod robust;
 mod sampson;
 mod termination;
@@ -56,6 +57,7 @@ pub use pairwise::{PairwiseOptions, Search, calibrate_pairwise, calibrate_pairwi
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
 pub use pose_covariance::{PoseCovariance, orientation_sigma_rad, pose_covariances, position_sigma_m};
 pub use prior::{PriorPolicy, default_sigma, stated_sigma};
+pub use reprojection_residuals::{ReprojectionResidual, reprojection_residuals};
 pub use robust::Loss;
 pub use termination::{StopReason, Termination};
 pub use warning::Warning;

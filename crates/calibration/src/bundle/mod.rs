@@ -29,4 +29,3 @@ pub(crate) use observations::Observations;
 pub use options::{BundleOptions, DeviationPolicy};
 pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;
-pub(crate) use state::NoiseScales;

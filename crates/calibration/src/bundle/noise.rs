@@ -114,10 +114,10 @@ impl Balance {
 
 /// Distances in px over all sights.
 pub(crate) fn statistics(sizes: &[ResidualSize]) -> ReprojectionStatistics {
-    let mut distances: Vec<f64> = sizes.iter().map(|s| s.distance_px).collect();
+    let mut distances: Vec<f64> = sizes.iter().map(ResidualSize::distance_px).collect();
     let (mut sum, mut inliers) = (0.0, 0usize);
     for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
-        sum += size.distance_px * size.distance_px;
+        sum += size.way_px.norm_squared();
         inliers += 1;
     }
     ReprojectionStatistics {

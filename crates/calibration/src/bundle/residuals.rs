@@ -3,7 +3,7 @@
 use crate::bundle::observations::{Observations, Sighting};
 use crate::bundle::reduced::{Chunk, point_covariance};
 use crate::bundle::view::View;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
 use skclam_geometry::{Isometry3, Point3};
 
@@ -11,14 +11,20 @@ use skclam_geometry::{Isometry3, Point3};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ResidualSize {
     pub posture: u32,
-    /// Distance in px as seen, not whitened.
-    pub distance_px: f64,
+    /// From where the point should appear to where it was seen, px, not whitened; infinite behind the camera.
+    pub way_px: Vector2<f64>,
     /// Norm of the pixel residual in sigmas; infinite behind the camera.
     pub pixel: f64,
     /// Its two degrees of freedom less what its own point takes.
     pub pixel_freedom: f64,
     /// Depth residual in sigmas and what is left of its degree of freedom.
     pub depth: Option<(f64, f64)>,
+}
+
+impl ResidualSize {
+    pub(crate) fn distance_px(&self) -> f64 {
+        self.way_px.norm()
+    }
 }
 
 /// `spread`: covariance of the point in the base frame.
@@ -29,7 +35,7 @@ fn residual_size(view: &View<'_>, sighting: &Sighting, point: &Point3, spread: &
     let Some((pixel, by_point)) = view.camera.project_with_point_jacobian(&in_camera) else {
         return ResidualSize {
             posture,
-            distance_px: f64::INFINITY,
+            way_px: Vector2::repeat(f64::INFINITY),
             pixel: f64::INFINITY,
             pixel_freedom: 2.0,
             depth: None,
@@ -48,13 +54,7 @@ fn residual_size(view: &View<'_>, sighting: &Sighting, point: &Point3, spread: &
         let leverage = view.scales.loss.weight(u) * along.dot(&(spread * along)) * slope * slope;
         (u, (1.0 - leverage).clamp(0.0, 1.0))
     });
-    ResidualSize {
-        posture,
-        distance_px: difference.norm(),
-        pixel: size,
-        pixel_freedom: (2.0 - leverage).clamp(0.0, 2.0),
-        depth,
-    }
+    ResidualSize { posture, way_px: difference, pixel: size, pixel_freedom: (2.0 - leverage).clamp(0.0, 2.0), depth }
 }
 
 /// All residuals, tracks first, then board corners.

@@ -51,14 +51,15 @@ pub(crate) struct Evaluated {
     pub observations: Observations,
 }
 
-/// Residuals of two models on the same sights: points and the board are fitted to each model's cameras, nothing else moves.
+/// Residuals of two models on the same sights, whose pixels have noise of `sigma_px`: points and the board are fitted to each model's cameras, nothing else moves.
 pub(crate) fn compare(
     nominal: &Model,
     calibrated: &Model,
     motion: &Motion,
     observations: &Observations,
-    noise: NoiseScales,
+    sigma_px: f64,
 ) -> Result<(Evaluated, Evaluated), CalibrationError> {
+    let noise = NoiseScales { pixel: sigma_px.max(1e-6), depth: FIRST_DEPTH, deviation: 1.0 };
     let priors = Priors { sigmas: Vec::new() };
     let options = BundleOptions::default();
     let solve = Solve { nominal: &nominal.rig, motion, parameters: &[], priors: &priors, options: &options };
@@ -396,11 +397,11 @@ impl Solve<'_> {
 
 /// RMS over the sights that fit the calibrated model, so that before and after speak of the same; median over all.
 fn over_inliers(before: &[ResidualSize], after: &[ResidualSize]) -> ReprojectionStatistics {
-    let kept = before.iter().zip(after).filter(|(b, a)| a.pixel < OUTLIER_SIGMAS && b.distance_px.is_finite());
-    let squares: Vec<f64> = kept.map(|(b, _)| b.distance_px * b.distance_px).collect();
+    let kept = before.iter().zip(after).filter(|(b, a)| a.pixel < OUTLIER_SIGMAS && b.distance_px().is_finite());
+    let squares: Vec<f64> = kept.map(|(b, _)| b.way_px.norm_squared()).collect();
     ReprojectionStatistics {
         rms_px: (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt(),
-        median_px: median(&mut before.iter().map(|b| b.distance_px).collect::<Vec<_>>()),
+        median_px: median(&mut before.iter().map(ResidualSize::distance_px).collect::<Vec<_>>()),
         observations: before.len(),
         inliers: squares.len(),
     }

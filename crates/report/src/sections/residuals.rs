@@ -5,7 +5,7 @@ use crate::figures::{CALIBRATED, Chart, Digits, NOMINAL, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::{Value, json};
-use skclam::report_data::{Histogram, ImageCell, ReportData};
+use skclam::report_data::{Arrows, Histogram, ImageCell, ReportData};
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let mut html = figures(run);
@@ -232,15 +232,19 @@ fn arrows(
         tip_y.push(round(ey));
         // Of a marker, clockwise from up; rows grow downwards.
         angles.push(round(dx.atan2(-dy).to_degrees()));
-        told.push(format!("{:.3} px right, {:.3} px down; {} ends", dx, dy, found.ends));
+        told.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
     }
     let factor = crate::figures::number(scale, Digits::Significant(1));
     Chart {
         id,
         caption: format!(
-            "{}{}: median way from the pixel to its line, drawn {factor} times as long; the longest is {} px.",
+            "{}{}: median way from {} to where it was seen, drawn {factor} times as long; the longest is {} px.",
             name[..1].to_uppercase(),
             &name[1..],
+            match data.residuals.arrows {
+                Arrows::Reprojection => "where a point should appear",
+                Arrows::Epipolar => "its epipolar line",
+            },
             crate::figures::number(longest, Digits::Significant(2))
         ),
         description: format!("Arrows of the median residual over the image, {name}"),

@@ -13,7 +13,7 @@ mod residuals;
 pub use map_samples::{MapSamples, sample_map};
 pub use packed::{Packed, Picture};
 pub use pair_pictures::{PairPicture, PicturedMatch, pair_pictures};
-pub use residuals::{Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, residual_data};
+pub use residuals::{Arrows, Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, residual_data};
 
 use crate::dataset::Dataset;
 use crate::pipeline::{PoseSigma, RunError, localize};
@@ -25,7 +25,7 @@ use skclam_kinematics::JointKind;
 use skclam_rig::{PostureState, Rig};
 
 /// The `format` that this program writes.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// All of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,7 +101,7 @@ impl ReportData {
             nominal_m: centre(&nominal_poses[at].base_from_camera),
             calibrated_m: centre(&calibrated_poses[at].base_from_camera),
         });
-        let (residuals, per_match) = residual_data(dataset, data, &calibration.model)?;
+        let (residuals, per_match) = residual_data(dataset, data, calibration)?;
         let pictures = pair_pictures(dataset, data, &calibration.model, &residuals, &per_match)?;
         Ok(ReportData {
             format: FORMAT,

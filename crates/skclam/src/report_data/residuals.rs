@@ -1,12 +1,14 @@
-//! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by
-//! posture, by pair, and by place in the image. Every figure is over all matches, none is drawn at random.
+//! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by posture and by pair; and by place
+//! in the image, where sights stand beside the projections of their points. Every figure is over all of them, none is drawn at random.
 
 use super::rounded;
 use crate::dataset::Dataset;
 use crate::pipeline::RunError;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Correspondences, EpipolarResidual, Model, epipolar_residuals};
+use skclam_calibration::{
+    Calibration, Correspondences, EpipolarResidual, Model, epipolar_residuals, reprojection_residuals,
+};
 use skclam_geometry::Pixel;
 
 /// Bins of the histogram in each factor of ten.
@@ -15,8 +17,8 @@ const BINS_A_DECADE: usize = 10;
 const DECADES: (i32, i32) = (-3, 3);
 /// Cells of the image along its longer edge.
 const CELLS_ACROSS: u32 = 16;
-/// A cell with fewer ends of matches says nothing.
-const LEAST_ENDS: usize = 8;
+/// A cell with fewer residuals says nothing.
+const LEAST_RESIDUALS: usize = 8;
 
 /// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -29,8 +31,21 @@ pub struct ResidualData {
     pub pairs: Vec<PairResiduals>,
     /// Columns and rows into which the image was divided.
     pub grid: [u32; 2],
-    /// The cells that hold enough ends.
+    /// What the arrows of the cells are.
+    pub arrows: Arrows,
+    /// The cells that hold enough residuals.
     pub cells: Vec<ImageCell>,
+}
+
+/// Residuals as vectors in the image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Arrows {
+    /// From where a scene point should appear to where it was seen: where there are tracks or a board.
+    Reprojection,
+    /// From the epipolar line to the pixel: where there are pairs alone. Errors along the line do not show.
+    #[default]
+    Epipolar,
 }
 
 /// Numbers of ends by distance.
@@ -84,9 +99,9 @@ pub struct PairResiduals {
 pub struct ImageCell {
     /// Its centre, px.
     pub center_px: [f64; 2],
-    /// Ends within.
-    pub ends: usize,
-    /// Median way from pixel to line (each coordinate for itself) under the nominal rig, px.
+    /// Residuals within.
+    pub count: usize,
+    /// Median residual (each coordinate for itself) under the nominal rig, px.
     pub before_px: [f64; 2],
     /// The same under the calibrated rig.
     pub after_px: [f64; 2],
@@ -102,14 +117,17 @@ struct End {
     ways: [Vector2<f64>; 2],
 }
 
+/// A pixel and its residuals before and after.
+type Place = (Pixel, [Vector2<f64>; 2]);
+
 /// Sums up, and hands out the residuals match by match (pair by pair; `None` without a baseline).
 pub fn residual_data(
     dataset: &Dataset,
     data: &Correspondences,
-    calibrated: &Model,
+    calibration: &Calibration,
 ) -> Result<(ResidualData, Vec<PairEnds>), RunError> {
     let before = epipolar_residuals(&Model::new(dataset.rig.clone()), data)?;
-    let after = epipolar_residuals(calibrated, data)?;
+    let after = epipolar_residuals(&calibration.model, data)?;
     let per_match: Vec<PairEnds> =
         before.into_iter().zip(after).map(|(before, after)| Some([before?, after?])).collect();
     let mut ends = Vec::new();
@@ -133,9 +151,20 @@ pub fn residual_data(
         pairs.push(PairResiduals { a: pair.a, b: pair.b, matches, median_before_px, median_after_px });
     }
     let camera = &dataset.rig.color;
-    let (grid, cells) = cells(&ends, camera.width, camera.height);
+    let reprojection =
+        reprojection_residuals(&Model::new(dataset.rig.clone()), &calibration.model, data, calibration.noise.pixel)?;
+    let (arrows, places): (_, Vec<Place>) = if reprojection.is_empty() {
+        // A residual is what was seen less what should be: against the way to the line.
+        (Arrows::Epipolar, ends.iter().map(|end| (end.pixel, end.ways.map(|way| -way))).collect())
+    } else {
+        (
+            Arrows::Reprojection,
+            reprojection.iter().map(|sight| (sight.pixel, [sight.nominal, sight.calibrated])).collect(),
+        )
+    };
+    let (grid, cells) = cells(&places, camera.width, camera.height);
     let postures = postures(&ends, data.postures.len());
-    Ok((ResidualData { histogram: histogram(&ends), postures, pairs, grid, cells }, per_match))
+    Ok((ResidualData { histogram: histogram(&ends), postures, pairs, grid, arrows, cells }, per_match))
 }
 
 fn histogram(ends: &[End]) -> Histogram {
@@ -172,30 +201,30 @@ fn postures(ends: &[End], count: usize) -> Vec<PostureResiduals> {
         .collect()
 }
 
-fn cells(ends: &[End], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>) {
+fn cells(places: &[Place], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>) {
     let edge = f64::from(width.max(height)) / f64::from(CELLS_ACROSS);
     let along = |pixels: u32| ((f64::from(pixels) / edge).round() as u32).max(1);
     let grid = [along(width), along(height)];
     let [columns, rows] = grid.map(|cells| cells as usize);
     let cell_size = [f64::from(width) / columns as f64, f64::from(height) / rows as f64];
-    let mut members: Vec<Vec<&End>> = vec![Vec::new(); columns * rows];
-    for end in ends {
-        let place =
+    let mut members: Vec<Vec<&Place>> = vec![Vec::new(); columns * rows];
+    for place in places {
+        let cell =
             |position: f64, size: f64, cells: usize| (((position + 0.5) / size).max(0.0) as usize).min(cells - 1);
-        let (column, row) = (place(end.pixel.x, cell_size[0], columns), place(end.pixel.y, cell_size[1], rows));
-        members[row * columns + column].push(end);
+        let (column, row) = (cell(place.0.x, cell_size[0], columns), cell(place.0.y, cell_size[1], rows));
+        members[row * columns + column].push(place);
     }
-    let summed = |(place, members): (usize, &Vec<&End>)| {
+    let summed = |(at, members): (usize, &Vec<&Place>)| {
         let middle = |which: usize| {
             [0, 1].map(|axis| {
-                let mut list: Vec<f64> = members.iter().map(|end| end.ways[which][axis]).collect();
+                let mut list: Vec<f64> = members.iter().map(|place| place.1[which][axis]).collect();
                 rounded(quantile(&mut list, 0.5), 4)
             })
         };
         let center = |at: usize, size: f64| rounded((at as f64 + 0.5) * size - 0.5, 2);
-        (members.len() >= LEAST_ENDS).then(|| ImageCell {
-            center_px: [center(place % columns, cell_size[0]), center(place / columns, cell_size[1])],
-            ends: members.len(),
+        (members.len() >= LEAST_RESIDUALS).then(|| ImageCell {
+            center_px: [center(at % columns, cell_size[0]), center(at / columns, cell_size[1])],
+            count: members.len(),
             before_px: middle(0),
             after_px: middle(1),
         })
@@ -233,12 +262,13 @@ mod tests {
 
     #[test]
     fn arrows_are_medians_over_their_cell() {
-        let mut ends: Vec<End> = (0..9).map(|k| end(0, (3.0, 2.0), f64::from(k), 0.5)).collect();
-        ends.push(end(0, (1599.4, 899.4), 1.0, 1.0));
-        let (grid, found) = cells(&ends, 1600, 900);
+        let place = |x, y, before, after| (Pixel::new(x, y), [Vector2::new(before, 0.0), Vector2::new(0.0, after)]);
+        let mut places: Vec<Place> = (0..9).map(|k| place(3.0, 2.0, f64::from(k), -0.5)).collect();
+        places.push(place(1599.4, 899.4, 1.0, 1.0));
+        let (grid, found) = cells(&places, 1600, 900);
         assert_eq!(grid, [16, 9]);
         let [cell] = found[..] else { panic!("{found:?}") };
-        assert_eq!((cell.center_px, cell.ends), ([49.5, 49.5], 9));
+        assert_eq!((cell.center_px, cell.count), ([49.5, 49.5], 9));
         assert_eq!((cell.before_px, cell.after_px), ([4.0, 0.0], [0.0, -0.5]));
     }
 
