@@ -5,6 +5,9 @@
 
 use skclam_geometry::PinholeCamera;
 
+/// Points nearer than this are not projected, metres.
+const NEAREST: f32 = 1e-3;
+
 /// Projects points of the camera's frame to pixels counted from the image's outer corner, so that truncation gives the
 /// pixel's column and row.
 #[derive(Debug, Clone, Copy)]
@@ -19,6 +22,9 @@ pub(crate) struct Projector {
     farthest: f32,
     width: f32,
     height: f32,
+    /// The last positions inside.
+    last_u: f32,
+    last_v: f32,
 }
 
 impl Projector {
@@ -39,6 +45,8 @@ impl Projector {
             farthest: 1.05 * farthest as f32,
             width: camera.width as f32,
             height: camera.height as f32,
+            last_u: (camera.width as f32).next_down(),
+            last_v: (camera.height as f32).next_down(),
         }
     }
 
@@ -71,14 +79,23 @@ impl Projector {
         let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
         let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
         let folded = r2 > self.farthest;
-        let xd = if folded { f32::NAN } else { xd };
+        let xd = if folded { f32::NEG_INFINITY } else { xd };
         (xd * self.fx + self.cx, yd * self.fy + self.cy)
     }
 
     /// Whether a point at this depth and position lies in the image; false for anything that is not a number.
     #[inline(always)]
     pub(crate) fn sees(&self, z: f32, u: f32, v: f32) -> bool {
-        (z > 1e-3) & (u >= 0.0) & (v >= 0.0) & (u < self.width) & (v < self.height)
+        (z > NEAREST) & (u >= 0.0) & (v >= 0.0) & (u < self.width) & (v < self.height)
+    }
+
+    /// All bits set where [`Projector::sees`] is false, else none, for a finite `z` and what it was projected to: signs,
+    /// so that compilers see nothing to branch on in loops over several points.
+    #[inline(always)]
+    pub(crate) fn outside(&self, z: f32, u: f32, v: f32) -> i32 {
+        let signs = (z - NEAREST).to_bits() | u.to_bits() | v.to_bits();
+        let signs = signs | (self.last_u - u).to_bits() | (self.last_v - v).to_bits();
+        (signs as i32) >> 31
     }
 }
 
@@ -102,10 +119,10 @@ mod tests {
             let inside = |margin: f64| pixel.x > margin - 0.5 && pixel.y > margin - 0.5
                 && pixel.x < 639.5 - margin && pixel.y < 479.5 - margin;
             if inside(0.01) {
-                prop_assert!(projector.sees(z as f32, u, v));
+                prop_assert!(projector.sees(z as f32, u, v) && projector.outside(z as f32, u, v) == 0);
                 prop_assert!((f64::from(u) - 0.5 - pixel.x).abs() < 1e-3 && (f64::from(v) - 0.5 - pixel.y).abs() < 1e-3);
             } else if !inside(-0.01) {
-                prop_assert!(!projector.sees(z as f32, u, v));
+                prop_assert!(!projector.sees(z as f32, u, v) && projector.outside(z as f32, u, v) == -1);
             }
         }
     }
@@ -116,6 +133,9 @@ mod tests {
         for z in [-1.0, 0.0, f32::NAN] {
             let (u, v) = projector.project(0.0, 0.0, z);
             assert!(!projector.sees(z, u, v));
+            assert!(z.is_nan() || projector.outside(z, u, v) == -1);
         }
+        let width = 640f32;
+        assert_eq!((projector.outside(1.0, width, 3.0), projector.outside(1.0, width.next_down(), 3.0)), (-1, 0));
     }
 }

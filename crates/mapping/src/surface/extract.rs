@@ -117,18 +117,19 @@ fn part(tsdf: &Tsdf, index: [i32; 3], block: &Block, voxel_m: f64, min_weight: f
             let from = voxel_of(0, y % BLOCK_EDGE, z % BLOCK_EDGE);
             let to = (z * PADDED + y) * PADDED;
             if let Some(block) = around[corner] {
+                let row = &block.rows[from / BLOCK_EDGE];
                 for x in 0..BLOCK_EDGE {
-                    let distance = block.distance[from + x];
-                    let known = block.weight[from + x] >= min_weight;
+                    let distance = row.distance[x];
+                    let known = row.weight[x] >= min_weight;
                     field[to + x] = if known { distance } else { f32::NAN };
                     any_inside |= known & (distance < 0.0);
                     any_free |= known & (distance >= 0.0);
                 }
             }
-            if let Some(block) = around[corner | 1]
-                && block.weight[from] >= min_weight
+            if let Some(row) = around[corner | 1].map(|block| &block.rows[from / BLOCK_EDGE])
+                && row.weight[0] >= min_weight
             {
-                let distance = block.distance[from];
+                let distance = row.distance[0];
                 field[to + BLOCK_EDGE] = distance;
                 any_inside |= distance < 0.0;
                 any_free |= distance >= 0.0;
@@ -169,8 +170,8 @@ fn part(tsdf: &Tsdf, index: [i32; 3], block: &Block, voxel_m: f64, min_weight: f
             other[axis] += 1;
             let corner = (0..3).fold(0, |corner, a| corner | (other[a] / BLOCK_EDGE) << a);
             let [x, y, z] = other.map(|index| index % BLOCK_EDGE);
-            let other = around[corner].expect("its distance is known").color[voxel_of(x, y, z)];
-            part.colors.push(mixed(block.color[voxel], other, share as f32));
+            let other = around[corner].expect("its distance is known").color(voxel_of(x, y, z));
+            part.colors.push(mixed(block.color(voxel), other, share as f32));
         }
     }
     for voxel in 0..BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE {

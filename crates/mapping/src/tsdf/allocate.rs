@@ -11,8 +11,8 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use std::mem::size_of;
 
-/// The voxels, the box, the key and what the two indices keep.
-pub(super) const BYTES_PER_BLOCK: usize = size_of::<Block>() + size_of::<Box<Block>>() + 5 * size_of::<VoxelKey>();
+/// The voxels, the key and what the two indices keep.
+pub(super) const BYTES_PER_BLOCK: usize = size_of::<Block>() + 5 * size_of::<VoxelKey>();
 /// Blocks along the edge of a region.
 const REGION_EDGE: i32 = 16;
 /// Rays that meet a block across its width, at least, at the farthest depth of the image.
@@ -127,9 +127,6 @@ impl Frame {
         }
         let camera = &self.camera;
         let (x, y) = self.projector.project(centre_in_depth.x, centre_in_depth.y, z);
-        if x.is_nan() || y.is_nan() {
-            return false;
-        }
         let reach = radius * camera.fx.max(camera.fy) as f32 / (z - radius);
         let span = |low: f32, high: f32, count: usize| {
             let first = (low / TILE as f32).floor().max(0.0) as usize;
@@ -144,27 +141,30 @@ impl Frame {
 }
 
 impl Tsdf {
-    /// Makes the blocks that do not exist yet and returns how many those were; none if they would exceed the limit.
-    pub(super) fn allocate(&mut self, touched: &[VoxelKey]) -> Result<usize, Error> {
-        let new: Vec<VoxelKey> = touched.iter().copied().filter(|key| !self.index.contains_key(key)).collect();
+    /// Places of the blocks at the addresses given (no two alike) and how many of them are new; none is made if they
+    /// would exceed the limit.
+    pub(super) fn allocate(&mut self, touched: &[VoxelKey]) -> Result<(Vec<u32>, usize), Error> {
+        const MISSING: u32 = u32::MAX;
+        let mut places: Vec<u32> = touched.iter().map(|key| self.index.get(key).copied().unwrap_or(MISSING)).collect();
+        let new = places.iter().filter(|place| **place == MISSING).count();
         let limit_mib = self.options.memory_limit_mib;
-        if ((self.blocks.len() + new.len()) * BYTES_PER_BLOCK) as u64 > limit_mib << 20 {
+        if ((self.blocks.len() + new) * BYTES_PER_BLOCK) as u64 > limit_mib << 20 {
             return Err(Error::MemoryLimit {
                 limit_mib,
                 views: self.views,
                 advice: "use a larger voxel_m, a smaller max_depth_m or truncation, or raise memory_limit_mib",
             });
         }
-        for &key in &new {
-            let place = self.blocks.len() as u32;
-            self.index.insert(key, place);
+        self.blocks.grow(new);
+        for (place, &key) in places.iter_mut().zip(touched).filter(|(place, _)| **place == MISSING) {
+            *place = self.keys.len() as u32;
+            self.index.insert(key, *place);
             self.keys.push(key);
-            self.blocks.push(Block::new());
             let region = key.index().map(|index| index.div_euclid(REGION_EDGE));
             let region = VoxelKey::new(region).expect("a region's index is smaller than its block's");
-            self.regions.entry(region).or_default().push(place);
+            self.regions.entry(region).or_default().push(*place);
         }
-        Ok(new.len())
+        Ok((places, new))
     }
 
     /// Adds existing blocks that the image may see to be free. The order does not matter: the list is sorted later.

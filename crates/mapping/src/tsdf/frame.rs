@@ -16,9 +16,12 @@ pub(super) const TILE: usize = 16;
 /// A surface seen flatter than this (cosine) weighs no less.
 const LEAST_COSINE: f32 = 0.1;
 
-/// What a voxel needs to know of the pixel it is seen at, apart from its depth.
-#[derive(Clone, Copy)]
+/// What a voxel needs to know of the pixel it is seen at, in half a line of the cache.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(32))]
 pub(super) struct Pixel {
+    /// z-depth of the plane, metres; 0 = nothing is known.
+    pub(super) depth: f32,
     /// Unit normal of the surface, towards the camera, in the depth camera's frame.
     pub(super) normal: [f32; 3],
     /// `normal . point` of the surface.
@@ -29,7 +32,7 @@ pub(super) struct Pixel {
     pub(super) color: [u8; 4],
 }
 
-const NOTHING: Pixel = Pixel { normal: [0.0; 3], offset: 0.0, weight: 0.0, color: [0; 4] };
+const NOTHING: Pixel = Pixel { depth: 0.0, normal: [0.0; 3], offset: 0.0, weight: 0.0, color: [0; 4] };
 
 /// An image ready to be fused.
 pub(super) struct Frame {
@@ -38,7 +41,7 @@ pub(super) struct Frame {
     pub(super) base_from_depth: Isometry3<f64>,
     /// Row-major, and one more at the end at which nothing is known, for voxels outside the image.
     pub(super) surface: Vec<Pixel>,
-    /// z-depths of the planes, metres; 0 = nothing is known. By themselves: most voxels ask for no more.
+    /// z-depths of the planes, metres; 0 = nothing is known.
     pub(super) depth: Vec<f32>,
     /// Largest depth in each tile of 16 x 16 pixels, 0 where there is none.
     pub(super) farthest_in_tile: Vec<f32>,
@@ -67,12 +70,10 @@ impl Frame {
         let noise = &options.filter.noise;
         let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
         let mut surface = vec![NOTHING; depth.len() + 1];
-        let mut fitted_depth = vec![0f32; depth.len() + 1];
-        surface[..depth.len()]
-            .par_chunks_mut(width)
-            .zip(fitted_depth[..depth.len()].par_chunks_mut(width))
-            .enumerate()
-            .for_each_init(<(PatchRow, ColorPlaces)>::default, |(patches, places), (y, (row, depths))| {
+        let mut fitted_depth = vec![0f32; depth.len()];
+        surface[..depth.len()].par_chunks_mut(width).zip(fitted_depth.par_chunks_mut(width)).enumerate().for_each_init(
+            <(PatchRow, ColorPlaces)>::default,
+            |(patches, places), (y, (row, depths))| {
                 fitter.row(y, patches);
                 depths.copy_from_slice(&patches.depth[..width]);
                 fill_row(patches, rays.row(y), noise, row);
@@ -82,7 +83,8 @@ impl Frame {
                         pixel.color = places.nearest_color(x, image);
                     }
                 }
-            });
+            },
+        );
         let tiles_x = width.div_ceil(TILE);
         let mut farthest_in_tile = vec![0f32; tiles_x * (depth.len() / width).div_ceil(TILE)];
         for (y, row) in depth.chunks(width).enumerate() {
@@ -180,6 +182,7 @@ fn fill_row(patches: &PatchRow, (ray_x, ray_y): (&[f32], &[f32]), (floor, quadra
         let cosine = (-along_ray * inverse_range).max(LEAST_COSINE);
         let relative_sigma = sigma_at_1m / (floor + quadratic * z * z);
         row[x] = Pixel {
+            depth: z,
             normal: [nx, ny, nz],
             offset: along_ray * z,
             weight: if z > 0.0 { relative_sigma * relative_sigma * cosine } else { 0.0 },

@@ -21,6 +21,8 @@ mod integrate;
 
 pub(crate) use block::{BLOCK_EDGE, Block};
 
+use block::BlockStore;
+
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
 use frame::{Frame, FrameCameras};
@@ -120,7 +122,7 @@ pub struct Tsdf {
     /// Where a block stands in `blocks`.
     index: VoxelMap<u32>,
     keys: Vec<VoxelKey>,
-    blocks: Vec<Box<Block>>,
+    blocks: BlockStore,
     /// Blocks by cubes of 16 x 16 x 16 blocks, so that an image looks only at what is near its frustum.
     regions: VoxelMap<Vec<u32>>,
     views: usize,
@@ -135,7 +137,7 @@ impl Tsdf {
             cameras: FrameCameras::default(),
             index: VoxelMap::default(),
             keys: Vec::new(),
-            blocks: Vec::new(),
+            blocks: BlockStore::default(),
             regions: VoxelMap::default(),
             views: 0,
         })
@@ -147,8 +149,7 @@ impl Tsdf {
         let frame = Frame::new(view, &mut self.cameras, &self.options);
         let rays = self.cameras.thinned(&view.depth_camera.camera, frame.thinning);
         let touched = frame.touched_blocks(rays, &self.options)?;
-        let blocks_new = self.allocate(&touched)?;
-        let mut updated: Vec<u32> = touched.iter().map(|key| self.index[key]).collect();
+        let (mut updated, blocks_new) = self.allocate(&touched)?;
         if self.options.carving == SpaceCarving::On && frame.pixels > 0 {
             self.add_blocks_in_free_space(&frame, &mut updated);
         }
@@ -185,21 +186,21 @@ impl Tsdf {
         let voxel = VoxelKey::of_point(point_in_base, 1.0 / self.options.voxel_m).ok()?.index();
         let block = self.block(voxel.map(|index| index.div_euclid(BLOCK_EDGE as i32)))?;
         let [x, y, z] = voxel.map(|index| index.rem_euclid(BLOCK_EDGE as i32) as usize);
-        let place = (z * BLOCK_EDGE + y) * BLOCK_EDGE + x;
-        (block.weight[place] > 0.0).then(|| (f64::from(block.distance[place]), f64::from(block.weight[place])))
+        let row = &block.rows[z * BLOCK_EDGE + y];
+        (row.weight[x] > 0.0).then(|| (f64::from(row.distance[x]), f64::from(row.weight[x])))
     }
 
     /// The block at a block index.
     pub(crate) fn block(&self, index: [i32; 3]) -> Option<&Block> {
         let place = *self.index.get(&VoxelKey::new(index)?)?;
-        Some(&self.blocks[place as usize])
+        Some(self.blocks.get(place))
     }
 
     /// All blocks with their indices, in the order of their addresses.
     pub(crate) fn sorted_blocks(&self) -> Vec<([i32; 3], &Block)> {
         let mut order: Vec<(VoxelKey, u32)> = self.keys.iter().copied().zip(0..).collect();
         order.sort_unstable();
-        order.into_iter().map(|(key, place)| (key.index(), &*self.blocks[place as usize])).collect()
+        order.into_iter().map(|(key, place)| (key.index(), self.blocks.get(place))).collect()
     }
 }
 
@@ -357,8 +358,8 @@ pub(crate) mod tests {
                     tsdf.integrate(&View { base_from_color, ..view(&depth, &camera) }).unwrap();
                 }
                 let blocks = tsdf.sorted_blocks();
-                let fields = blocks.iter().map(|(key, block)| (*key, block.distance, block.weight));
-                fields.collect::<Vec<_>>()
+                let rows = |block: &Block| block.rows.map(|row| (row.distance, row.weight, row.color));
+                blocks.iter().map(|(key, block)| (*key, rows(block))).collect::<Vec<_>>()
             })
         };
         assert!(build(1) == build(4));
