@@ -3,8 +3,10 @@
 use crate::color_lookup::{ColorLookup, ColorPlaces};
 use crate::rays::Rays;
 use crate::{DepthFilter, View};
+use image::GrayImage;
 use multiversion::multiversion;
 use rayon::prelude::*;
+use skclam_geometry::DepthImage;
 
 impl View<'_> {
     /// Depths with everything removed that the filter or the masks reject; row-major, 0 = no value.
@@ -20,49 +22,86 @@ impl View<'_> {
     }
 
     fn believed(&self, filter: &DepthFilter, rays: Option<&Rays>) -> Vec<f32> {
-        let (width, height) = (self.depth.width() as usize, self.depth.height() as usize);
-        let range = (filter.min_depth_m as f32, filter.max_depth_m as f32);
-        let raw = self.depth.as_slice();
-        let at_edge = if filter.edge_margin_px > 0 { edge_pixels(raw, width, filter) } else { Vec::new() };
-        let color = self.color_mask.zip(rays).map(|(mask, rays)| (mask, rays, ColorLookup::new(self)));
-        let mut believed = vec![0f32; raw.len()];
-        believed.par_chunks_mut(width.max(1)).enumerate().for_each_init(ColorPlaces::default, |places, (y, row)| {
-            let span = y * width..(y + 1) * width;
-            keep_range(&raw[span.clone()], range, row);
-            if filter.edge_margin_px == 1 {
-                for (out, marked) in row.iter_mut().zip(&at_edge[span.clone()]) {
-                    *out = if *marked { 0.0 } else { *out };
-                }
-            } else if filter.edge_margin_px > 1 {
-                for (x, out) in row.iter_mut().enumerate() {
-                    if near_marked(&at_edge, width, height, x, y, filter.edge_margin_px - 1) {
-                        *out = 0.0;
-                    }
-                }
-            }
-            if let Some(mask) = self.depth_mask {
-                for (out, kept) in row.iter_mut().zip(&mask.as_raw()[span]) {
-                    *out = if *kept == 0 { 0.0 } else { *out };
-                }
-            }
-            if let Some((mask, rays, lookup)) = &color {
-                lookup.find(rays, y, row, places);
-                for (x, out) in row.iter_mut().enumerate() {
-                    if places.is_masked(x, mask) {
-                        *out = 0.0;
-                    }
-                }
-            }
-        });
+        let width = self.depth.width().max(1) as usize;
+        let rows = BelievedRows::new(self, filter, rays, 1);
+        let mut believed = vec![0f32; self.depth.as_slice().len()];
+        let bands = believed.par_chunks_mut(width).enumerate();
+        bands.for_each_init(RowScratch::default, |scratch, (y, row)| rows.row(y, row, scratch));
         believed
     }
 }
 
-/// Depths within the range, 0 for the others.
+/// What is believed of a view, row by row.
+pub(crate) struct BelievedRows<'a> {
+    view: &'a View<'a>,
+    filter: &'a DepthFilter,
+    /// Pixels of the view between two that are asked for, in both directions.
+    thinning: usize,
+    /// Pixels at edges, where the margin is wider than one.
+    edges: Option<Vec<bool>>,
+    mask: Option<(&'a GrayImage, &'a Rays, ColorLookup)>,
+}
+
+/// What one thread keeps from row to row.
+#[derive(Debug, Default)]
+pub(crate) struct RowScratch {
+    marks: Vec<bool>,
+    places: ColorPlaces,
+}
+
+impl<'a> BelievedRows<'a> {
+    /// `rays` are those of the pixels that are asked for; only a colour mask needs them.
+    pub(crate) fn new(view: &'a View<'a>, filter: &'a DepthFilter, rays: Option<&'a Rays>, thinning: usize) -> Self {
+        let edges = (filter.edge_margin_px > 1).then(|| edge_pixels(view.depth, filter));
+        let mask = view.color_mask.zip(rays).map(|(mask, rays)| (mask, rays, ColorLookup::new(view)));
+        BelievedRows { view, filter, thinning, edges, mask }
+    }
+
+    /// Writes a row of believed depths, 0 where there is none.
+    pub(crate) fn row(&self, y: usize, row: &mut [f32], scratch: &mut RowScratch) {
+        let (width, height) = (self.view.depth.width() as usize, self.view.depth.height() as usize);
+        let (raw, thinning) = (self.view.depth.as_slice(), self.thinning);
+        let full_y = y * thinning;
+        let span = full_y * width..(full_y + 1) * width;
+        keep_range(&raw[span.clone()], (self.filter.min_depth_m as f32, self.filter.max_depth_m as f32), thinning, row);
+        if let Some(edges) = &self.edges {
+            let margin = self.filter.edge_margin_px - 1;
+            for (x, out) in row.iter_mut().enumerate() {
+                if near_marked(edges, width, height, x * thinning, full_y, margin) {
+                    *out = 0.0;
+                }
+            }
+        } else if self.filter.edge_margin_px == 1 {
+            scratch.marks.resize(width, false);
+            mark_edges(raw, width, full_y, self.filter, thinning, &mut scratch.marks);
+            for (out, marked) in row.iter_mut().zip(scratch.marks.iter().step_by(thinning)) {
+                *out = if *marked { 0.0 } else { *out };
+            }
+        }
+        if let Some(mask) = self.view.depth_mask {
+            for (out, kept) in row.iter_mut().zip(mask.as_raw()[span].iter().step_by(thinning)) {
+                *out = if *kept == 0 { 0.0 } else { *out };
+            }
+        }
+        if let Some((mask, rays, lookup)) = &self.mask {
+            lookup.find(rays, y, row, &mut scratch.places);
+            for (x, out) in row.iter_mut().enumerate() {
+                if scratch.places.is_masked(x, mask) {
+                    *out = 0.0;
+                }
+            }
+        }
+    }
+}
+
+/// Every `thinning`-th depth where it is within the range, 0 for the others.
 #[multiversion(targets("x86_64+avx2"))]
-fn keep_range(raw: &[f32], (near, far): (f32, f32), row: &mut [f32]) {
-    for (out, &depth) in row.iter_mut().zip(raw) {
-        *out = if (depth > 0.0) & (depth >= near) & (depth <= far) { depth } else { 0.0 };
+fn keep_range(raw: &[f32], (near, far): (f32, f32), thinning: usize, row: &mut [f32]) {
+    let kept = |depth: f32| if (depth > 0.0) & (depth >= near) & (depth <= far) { depth } else { 0.0 };
+    if thinning == 1 {
+        row.iter_mut().zip(raw).for_each(|(out, &depth)| *out = kept(depth));
+    } else {
+        row.iter_mut().zip(raw.iter().step_by(thinning)).for_each(|(out, &depth)| *out = kept(depth));
     }
 }
 
@@ -79,12 +118,23 @@ fn steps_in_row(rows: [&[f32]; 5], (share, floor, quadratic): (f32, f32, f32), m
     }
 }
 
-/// Marks pixels one of whose four neighbours lies on another surface.
+/// All pixels at edges, row-major.
+fn edge_pixels(depth: &DepthImage, filter: &DepthFilter) -> Vec<bool> {
+    let width = depth.width().max(1) as usize;
+    let mut marked = vec![false; depth.as_slice().len()];
+    let rows = marked.par_chunks_mut(width).enumerate();
+    rows.for_each(|(row, marks)| mark_edges(depth.as_slice(), width, row, filter, 1, marks));
+    marked
+}
+
+/// Marks the pixels of a row one of whose four neighbours lies on another surface; marks mean something only at every
+/// `thinning`-th.
 ///
 /// A steep plane also has large steps, but in inverse depth a plane is linear over the image (without distortion), so
 /// a step counts only where inverse depth bends on this side of it or on the other, or where nothing is known of that.
-fn edge_pixels(depth: &[f32], width: usize, filter: &DepthFilter) -> Vec<bool> {
-    let height = (depth.len() / width.max(1)) as isize;
+fn mark_edges(depth: &[f32], width: usize, row: usize, filter: &DepthFilter, thinning: usize, marks: &mut [bool]) {
+    const GROUP: usize = 32;
+    let height = (depth.len() / width) as isize;
     let value = |x: isize, y: isize| {
         let inside = x >= 0 && y >= 0 && x < width as isize && y < height;
         if inside { depth[y as usize * width + x as usize] } else { 0.0 }
@@ -95,18 +145,22 @@ fn edge_pixels(depth: &[f32], width: usize, filter: &DepthFilter) -> Vec<bool> {
     };
     let coefficients = filter.step_coefficients();
     let (share, tolerance_floor, tolerance_quadratic) = coefficients;
-    let mut marked = vec![false; depth.len()];
-    marked.par_chunks_mut(width.max(1)).enumerate().for_each(|(row, marks)| {
-        let own = &depth[row * width..(row + 1) * width];
-        // Rows beyond the border are taken to be this row: no step. The first and the last column are looked at closely.
-        let above = if row > 0 { &depth[(row - 1) * width..row * width] } else { own };
-        let below = depth.get((row + 1) * width..(row + 2) * width).unwrap_or(own);
-        marks.iter_mut().zip(own).for_each(|(mark, z)| *mark = *z > 0.0);
-        if width > 2 {
-            let inner = [&own[1..], own, &own[2..], &above[1..], &below[1..]];
-            steps_in_row(inner, coefficients, &mut marks[1..width - 1]);
+    let own = &depth[row * width..(row + 1) * width];
+    // Rows beyond the border are taken to be this row: no step. The first and the last column are looked at closely.
+    let above = if row > 0 { &depth[(row - 1) * width..row * width] } else { own };
+    let below = depth.get((row + 1) * width..(row + 2) * width).unwrap_or(own);
+    (marks[0], marks[width - 1]) = (own[0] > 0.0, own[width - 1] > 0.0);
+    if width > 2 {
+        let inner = [&own[1..], own, &own[2..], &above[1..], &below[1..]];
+        steps_in_row(inner, coefficients, &mut marks[1..width - 1]);
+    }
+    for (group, marks) in marks.chunks_mut(GROUP).enumerate() {
+        // Most groups have no mark at all; thinning divides their length.
+        if !marks.iter().fold(false, |any, mark| any | *mark) {
+            continue;
         }
-        for (column, mark) in marks.iter_mut().enumerate().filter(|(_, mark)| **mark) {
+        for (place, mark) in marks.iter_mut().enumerate().step_by(thinning).filter(|(_, mark)| **mark) {
+            let column = group * GROUP + place;
             let here = own[column];
             let tolerance = share * here + tolerance_floor + tolerance_quadratic * here * here;
             let is_step = |other: f32| (other > 0.0) & ((other - here).abs() > tolerance);
@@ -124,8 +178,7 @@ fn edge_pixels(depth: &[f32], width: usize, filter: &DepthFilter) -> Vec<bool> {
                 }
             });
         }
-    });
-    marked
+    }
 }
 
 fn near_marked(marked: &[bool], width: usize, height: usize, x: usize, y: usize, margin: u32) -> bool {
@@ -139,8 +192,6 @@ fn near_marked(marked: &[bool], width: usize, height: usize, x: usize, y: usize,
 mod tests {
     use super::*;
     use crate::view::tests::{plain_camera, view};
-    use image::GrayImage;
-    use skclam_geometry::DepthImage;
 
     #[test]
     fn pixels_beside_a_step_are_dropped_and_a_steep_plane_is_kept() {

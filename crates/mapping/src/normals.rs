@@ -5,13 +5,18 @@
 //! normal is the least-squares gradient of inverse depth over a window, without any bias from a steep view.
 //! The same fit gives a depth with a fraction of the noise, wherever its residuals look like noise.
 //!
-//! Eight pixels of a row are fitted at a time, with their sums in registers.
+//! Where the window is complete, the fit is that of `complete`. Elsewhere eight pixels of a row are fitted at a time, with
+//! their sums in registers.
+
+mod complete;
 
 use crate::DepthFilter;
 use crate::rays::Rays;
+use complete::{RUN, fit_run};
 use multiversion::multiversion;
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use wide::f32x8;
 
 /// Surroundings whose variance about the plane exceeds that of the noise by this factor are not flat.
@@ -81,26 +86,78 @@ pub(crate) struct PatchFitter<'a> {
     rays: &'a Rays,
     filter: &'a DepthFilter,
     neighbours: Vec<Neighbour>,
-    /// Inverse depths with a border as wide as the window on all sides; infinite where there is none.
-    inverse: Vec<f32>,
+    inverse: Cow<'a, InverseDepths>,
+    /// Distance of the pixels that are used, and what they are thinned by.
+    unit: usize,
+    thinning: usize,
+    /// Whether the window is the one that `complete` knows.
+    is_five_by_five: bool,
+}
+
+/// Inverse depths with a border as wide as the window on all sides; infinite where there is none.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct InverseDepths {
+    values: Vec<f32>,
     stride: usize,
     margin: usize,
+}
+
+impl InverseDepths {
+    fn of(depth: &[f32], width: usize, window: NormalWindow) -> Self {
+        let mut inverse = InverseDepths::default();
+        let bands = inverse.bands_mut(width, depth.len() / width.max(1), 1, window);
+        bands.zip(depth.par_chunks(width.max(1))).for_each(|(padded, row)| window.invert(row, padded));
+        inverse
+    }
+
+    /// Length of a row with its borders.
+    pub(crate) fn stride_of(width: usize, window: NormalWindow) -> usize {
+        width.next_multiple_of(RUN) + 2 * window.radius
+    }
+
+    /// Makes room for an image and gives its rows with their borders, several at a time, to [`NormalWindow::invert`].
+    pub(crate) fn bands_mut(
+        &mut self,
+        width: usize,
+        height: usize,
+        rows: usize,
+        window: NormalWindow,
+    ) -> rayon::slice::ChunksMut<'_, f32> {
+        let margin = window.radius;
+        let stride = Self::stride_of(width, window);
+        let length = stride * (height + 2 * margin);
+        if (self.stride, self.margin, self.values.len()) != (stride, margin, length) {
+            *self = InverseDepths { values: vec![f32::INFINITY; length], stride, margin };
+        }
+        self.values[stride * margin..stride * (height + margin)].par_chunks_mut(stride * rows)
+    }
+}
+
+impl NormalWindow {
+    /// Writes the inverse depths of a row of pixels into a row of [`InverseDepths`].
+    pub(crate) fn invert(&self, row: &[f32], padded: &mut [f32]) {
+        for (inverse, z) in padded[self.radius..].iter_mut().zip(row) {
+            *inverse = 1.0 / z;
+        }
+    }
 }
 
 impl<'a> PatchFitter<'a> {
     /// Of an image whose size is that of the rays.
     pub(crate) fn new(depth: &'a [f32], rays: &'a Rays, filter: &'a DepthFilter, window: NormalWindow) -> Self {
-        let width = rays.width();
-        let height = depth.len() / width.max(1);
-        let margin = window.radius;
-        let stride = width.next_multiple_of(LANES) + 2 * margin;
-        let mut inverse = vec![f32::INFINITY; stride * (height + 2 * margin)];
-        let rows = &mut inverse[stride * margin..stride * (height + margin)];
-        rows.par_chunks_mut(stride).zip(depth.par_chunks(width.max(1))).for_each(|(padded, row)| {
-            for (inverse, z) in padded[margin..].iter_mut().zip(row) {
-                *inverse = 1.0 / z;
-            }
-        });
+        let inverse = InverseDepths::of(depth, rays.width(), window);
+        Self::with_inverse(depth, Cow::Owned(inverse), rays, filter, window)
+    }
+
+    /// As [`PatchFitter::new`], with the inverse depths at hand.
+    pub(crate) fn with_inverse(
+        depth: &'a [f32],
+        inverse: Cow<'a, InverseDepths>,
+        rays: &'a Rays,
+        filter: &'a DepthFilter,
+        window: NormalWindow,
+    ) -> Self {
+        let stride = inverse.stride;
         let offsets = || (-(window.radius as isize)..=window.radius as isize).step_by(window.stride.max(1));
         let neighbours = offsets()
             .flat_map(|v| offsets().map(move |u| (u, v)))
@@ -112,23 +169,36 @@ impl<'a> PatchFitter<'a> {
                 Neighbour { step: v * stride as isize + u, u: u as f32, v: v as f32, reach }
             })
             .collect();
-        PatchFitter { depth, rays, filter, neighbours, inverse, stride, margin }
+        let is_five_by_five = window.radius == 2 * window.stride;
+        let (unit, thinning) = (window.stride, window.thinning);
+        PatchFitter { depth, rays, filter, neighbours, inverse, unit, thinning, is_five_by_five }
     }
 
     /// Fits the planes of a row of pixels.
     pub(crate) fn row(&self, y: usize, out: &mut PatchRow) {
         let width = self.rays.width();
-        let padded = width.next_multiple_of(LANES);
+        let padded = width.next_multiple_of(RUN);
         for plane in out.normal.iter_mut().chain([&mut out.depth]) {
             plane.resize(padded, 0.0);
         }
         let own = &self.depth[y * width..(y + 1) * width];
         out.depth[..width].copy_from_slice(own);
-        for at in (0..padded).step_by(LANES) {
-            if out.depth[at..at + LANES].iter().all(|z| *z <= 0.0) {
-                out.normal.iter_mut().for_each(|plane| plane[at..at + LANES].fill(0.0));
-            } else {
-                fit_eight(self, y, at, out);
+        out.depth[width..].fill(0.0);
+        for at in (0..padded).step_by(RUN) {
+            let mut incomplete: [bool; RUN] = std::array::from_fn(|x| out.depth[at + x] > 0.0);
+            if !incomplete.contains(&true) {
+                out.normal.iter_mut().for_each(|plane| plane[at..at + RUN].fill(0.0));
+            } else if self.is_five_by_five {
+                incomplete = fit_run(self, y, at, out);
+            }
+            for (group, incomplete) in incomplete.chunks(LANES).enumerate() {
+                if incomplete.contains(&true) {
+                    let at = at + group * LANES;
+                    // A complete pixel beside an incomplete one is fitted again, from its own depth.
+                    let end = width.min(at + LANES);
+                    out.depth[at..end].copy_from_slice(&own[at..end]);
+                    fit_eight(self, y, at, out);
+                }
             }
         }
     }
@@ -152,15 +222,16 @@ fn fit_eight(fitter: &PatchFitter<'_>, y: usize, at: usize, out: &mut PatchRow) 
     let one = f32x8::splat(1.0);
     let (share, floor, quadratic) = fitter.filter.step_coefficients();
     let z = load(&out.depth, at);
-    let centre = (y + fitter.margin) * fitter.stride + fitter.margin + at;
-    let here = load(&fitter.inverse, centre);
+    let inverse = &fitter.inverse.values;
+    let centre = (y + fitter.inverse.margin) * fitter.inverse.stride + fitter.inverse.margin + at;
+    let here = load(inverse, centre);
     let tolerance = (z * share + floor + z * z * quadratic) * here * here;
     let (mut count, mut su, mut sv, mut sd) = (one, zero, zero, zero);
     let (mut suu, mut suv, mut svv) = (zero, zero, zero);
     let (mut sud, mut svd, mut sdd) = (zero, zero, zero);
     for &Neighbour { step, u, v, reach } in &fitter.neighbours {
         // Where there is no depth the inverse is infinite or the difference not a number: it does not count.
-        let difference = load(&fitter.inverse, centre.wrapping_add_signed(step)) - here;
+        let difference = load(inverse, centre.wrapping_add_signed(step)) - here;
         let counts = difference.abs().simd_le(tolerance * reach);
         let one = counts & one;
         let d = counts & difference;

@@ -1,124 +1,18 @@
-//! Which blocks an image concerns: those around the surfaces it shows, which are allocated, and those that exist and
+//! The blocks that an image concerns: those around the surfaces it shows, which are allocated, and those that exist and
 //! that it sees to be free.
 
 use super::frame::{Frame, TILE};
-use super::{BLOCK_EDGE, Block, Tsdf, TsdfOptions};
+use super::{BLOCK_EDGE, Block, Tsdf};
 use crate::Error;
-use crate::rays::Rays;
-use crate::voxel::{INDEX_LIMIT, VoxelKey, VoxelMap};
-use multiversion::multiversion;
-use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
+use crate::voxel::{VoxelKey, VoxelMap};
+use nalgebra::Vector3;
 use std::mem::size_of;
 
 /// The voxels, the key and what the two indices keep.
 pub(super) const BYTES_PER_BLOCK: usize = size_of::<Block>() + 5 * size_of::<VoxelKey>();
 /// Blocks along the edge of a region.
 const REGION_EDGE: i32 = 16;
-/// Rays that meet a block across its width, at least, at the farthest depth of the image.
-const RAYS_PER_BLOCK: f64 = 3.0;
-/// Rays are never cast farther apart than this, pixels, so that small things get their blocks.
-const WIDEST_STRIDE: f64 = 6.0;
-/// Rows that are searched together.
-const ROWS: usize = 16;
-
-/// What the rays of an image share on their way through the blocks.
-struct Search<'a> {
-    depth: &'a [f32],
-    stride: usize,
-    rays: &'a Rays,
-    rotation: Matrix3<f32>,
-    origin: Vector3<f32>,
-    truncation_m: f32,
-    sigmas_floor: f32,
-    sigmas_quadratic: f32,
-    inverse_block: f32,
-}
-
-/// Appends the blocks around the surfaces of a row of pixels, some of them several times; returns a point that no block
-/// can hold, if there is one. A block's border may be missed by a rounding error, which does no harm to a block that is
-/// wanted for its inside.
-#[multiversion(targets("x86_64+avx2"))]
-fn blocks_along_row(search: &Search<'_>, row: std::ops::Range<usize>, found: &mut Vec<VoxelKey>) -> Option<[f32; 3]> {
-    // Most rays meet the blocks of their neighbour, step by step: a short memory saves most of the sorting.
-    const MEMORY: usize = 32;
-    let mut last = [[i32::MIN; 3]; MEMORY];
-    let limit = INDEX_LIMIT as f32;
-    for index in row.step_by(search.stride) {
-        let z = search.depth[index];
-        if z <= 0.0 {
-            continue;
-        }
-        let direction = search.rotation * search.rays.direction(index);
-        let truncation = search.truncation_m.max(search.sigmas_floor + search.sigmas_quadratic * z * z);
-        let steps = (4.0 * truncation * search.inverse_block).ceil().max(1.0);
-        let first = search.origin + direction * (z - truncation);
-        let stride = direction * (2.0 * truncation / steps);
-        for step in 0..=steps as usize {
-            let point = first + stride * step as f32;
-            let cell = (point * search.inverse_block).map(f32::floor);
-            if !cell.iter().all(|index| index.abs() < limit) {
-                return Some(point.into());
-            }
-            let block = [cell.x as i32, cell.y as i32, cell.z as i32];
-            let slot = &mut last[step % MEMORY];
-            if *slot != block {
-                *slot = block;
-                found.extend(VoxelKey::new(block));
-            }
-        }
-    }
-    None
-}
-
-impl Frame {
-    /// Addresses of the blocks within the truncation of the surface, sorted.
-    pub(super) fn touched_blocks(&self, rays: &Rays, options: &TsdfOptions) -> Result<Vec<VoxelKey>, Error> {
-        let width = self.camera.width.max(1) as usize;
-        let height = self.camera.height as usize;
-        let block_m = options.voxel_m * BLOCK_EDGE as f64;
-        let inverse = 1.0 / block_m;
-        let block_px = block_m * self.camera.fx.min(self.camera.fy) / f64::from(self.farthest.max(1e-3));
-        let stride = (block_px / RAYS_PER_BLOCK).clamp(1.0, WIDEST_STRIDE) as usize;
-        let rotation = self.base_from_depth.rotation.cast::<f32>().to_rotation_matrix();
-        let search = Search {
-            depth: &self.depth,
-            stride,
-            rays,
-            rotation: *rotation.matrix(),
-            origin: self.base_from_depth.translation.vector.cast(),
-            truncation_m: (options.truncation_voxels * options.voxel_m) as f32,
-            sigmas_floor: (options.truncation_sigmas * options.filter.noise.floor_m) as f32,
-            sigmas_quadratic: (options.truncation_sigmas * options.filter.noise.quadratic_per_m) as f32,
-            inverse_block: inverse as f32,
-        };
-        let bands: Vec<Result<Vec<VoxelKey>, Error>> = (0..height.div_ceil(ROWS))
-            .into_par_iter()
-            .map(|band| {
-                let mut found = Vec::new();
-                for y in (band * ROWS..((band + 1) * ROWS).min(height)).step_by(stride) {
-                    if let Some(point) = blocks_along_row(&search, y * width..(y + 1) * width, &mut found) {
-                        return Err(Error::OutOfRange {
-                            distance_m: point.iter().fold(0.0, |most, value| f64::from(value.abs()).max(most)),
-                            limit_m: f64::from(INDEX_LIMIT) * block_m,
-                            voxel_m: options.voxel_m,
-                        });
-                    }
-                }
-                found.sort_unstable();
-                found.dedup();
-                Ok(found)
-            })
-            .collect();
-        let mut all = Vec::new();
-        for band in bands {
-            all.extend(band?);
-        }
-        all.sort_unstable();
-        all.dedup();
-        Ok(all)
-    }
-
+impl Frame<'_> {
     /// Whether a ball around a block may hold voxels in front of what is seen there.
     fn may_be_free(&self, centre_in_depth: &Vector3<f32>, radius: f32) -> bool {
         let z = centre_in_depth.z;
@@ -168,7 +62,7 @@ impl Tsdf {
     }
 
     /// Adds existing blocks that the image may see to be free. The order does not matter: the list is sorted later.
-    pub(super) fn add_blocks_in_free_space(&self, frame: &Frame, blocks: &mut Vec<u32>) {
+    pub(super) fn add_blocks_in_free_space(&self, frame: &Frame<'_>, blocks: &mut Vec<u32>) {
         let depth_from_base = frame.base_from_depth.inverse();
         let block_m = self.options.voxel_m * BLOCK_EDGE as f64;
         // Half the diagonal of a cube.
@@ -192,7 +86,7 @@ impl Tsdf {
     }
 
     /// Whether a ball meets the cone around the image; generous, since it only saves work.
-    fn region_in_view(&self, frame: &Frame, centre: &Vector3<f32>, radius: f32) -> bool {
+    fn region_in_view(&self, frame: &Frame<'_>, centre: &Vector3<f32>, radius: f32) -> bool {
         let camera = &frame.camera;
         if centre.z < -radius || centre.z - radius > frame.farthest {
             return false;

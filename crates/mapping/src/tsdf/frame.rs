@@ -1,15 +1,19 @@
 //! One image prepared for fusion: for every pixel the plane of its surroundings, its weight and its colour.
 
 use super::TsdfOptions;
-use crate::View;
+use super::cameras::{FrameCameras, thinning};
+use super::touched::Search;
+use crate::believed::{BelievedRows, RowScratch};
 use crate::color_lookup::{ColorLookup, ColorPlaces};
-use crate::normals::{NormalWindow, PatchFitter, PatchRow};
+use crate::normals::{InverseDepths, NormalWindow, PatchFitter, PatchRow};
 use crate::projector::Projector;
-use crate::rays::Rays;
+use crate::voxel::VoxelKey;
+use crate::{Error, View};
 use multiversion::multiversion;
 use nalgebra::Isometry3;
 use rayon::prelude::*;
 use skclam_geometry::PinholeCamera;
+use std::borrow::Cow;
 
 /// Pixels along the edge of a tile of [`Frame::farthest_in_tile`].
 pub(super) const TILE: usize = 16;
@@ -34,132 +38,134 @@ pub(super) struct Pixel {
 
 const NOTHING: Pixel = Pixel { depth: 0.0, normal: [0.0; 3], offset: 0.0, weight: 0.0, color: [0; 4] };
 
+/// Room for what is made of an image, kept from image to image: asking the system for memory takes as long as the work.
+#[derive(Debug, Default)]
+pub(super) struct FrameBuffers {
+    cameras: FrameCameras,
+    depth: Vec<f32>,
+    inverse: InverseDepths,
+    surface: Vec<Pixel>,
+    farthest_in_tile: Vec<f32>,
+}
+
 /// An image ready to be fused.
-pub(super) struct Frame {
+pub(super) struct Frame<'a> {
     pub(super) camera: PinholeCamera,
     pub(super) projector: Projector,
     pub(super) base_from_depth: Isometry3<f64>,
     /// Row-major, and one more at the end at which nothing is known, for voxels outside the image.
-    pub(super) surface: Vec<Pixel>,
-    /// z-depths of the planes, metres; 0 = nothing is known.
-    pub(super) depth: Vec<f32>,
+    pub(super) surface: &'a [Pixel],
     /// Largest depth in each tile of 16 x 16 pixels, 0 where there is none.
-    pub(super) farthest_in_tile: Vec<f32>,
+    pub(super) farthest_in_tile: &'a [f32],
     pub(super) tiles_x: usize,
     /// Largest depth of all.
     pub(super) farthest: f32,
-    /// Believed pixels.
+    /// Pixels in use.
     pub(super) pixels: usize,
     /// Pixels of the camera between two of the frame.
+    #[cfg(test)]
     pub(super) thinning: usize,
+    /// Addresses of the blocks within the truncation of the surface, sorted.
+    pub(super) touched: Vec<VoxelKey>,
 }
 
-impl Frame {
-    /// `cameras` are kept from image to image.
-    pub(super) fn new(view: &View<'_>, cameras: &mut FrameCameras, options: &TsdfOptions) -> Self {
-        let full = cameras.full(&view.depth_camera.camera);
-        let believed = view.believed_depth_along(&options.filter, full);
-        let thinning = thinning(&believed, &view.depth_camera.camera, options.voxel_m);
-        let pixels = believed.iter().filter(|z| **z > 0.0).count();
-        let depth = thinned(believed, full.width(), thinning);
-        let rays = cameras.thinned(&view.depth_camera.camera, thinning);
+/// What a thread needs for a row, and the blocks that it found.
+#[derive(Default)]
+struct BandScratch {
+    patches: PatchRow,
+    places: ColorPlaces,
+    touched: Vec<VoxelKey>,
+}
+
+impl<'a> Frame<'a> {
+    /// Of a view that was checked.
+    pub(super) fn new(view: &View<'_>, buffers: &'a mut FrameBuffers, options: &TsdfOptions) -> Result<Self, Error> {
+        let full = &view.depth_camera.camera;
+        let thinning = thinning(view.depth, full, options);
+        let FrameBuffers { cameras, depth, inverse, surface, farthest_in_tile } = buffers;
+        let rays = cameras.thinned(full, thinning);
         let camera = *rays.camera();
-        let width = camera.width.max(1) as usize;
-        let fitter = PatchFitter::new(&depth, rays, &options.filter, NormalWindow::of_maps(thinning));
-        let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
-        let noise = &options.filter.noise;
-        let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
-        let mut surface = vec![NOTHING; depth.len() + 1];
-        let mut fitted_depth = vec![0f32; depth.len()];
-        surface[..depth.len()].par_chunks_mut(width).zip(fitted_depth.par_chunks_mut(width)).enumerate().for_each_init(
-            <(PatchRow, ColorPlaces)>::default,
-            |(patches, places), (y, (row, depths))| {
-                fitter.row(y, patches);
-                depths.copy_from_slice(&patches.depth[..width]);
-                fill_row(patches, rays.row(y), noise, row);
-                if let Some((image, lookup)) = &lookup {
-                    lookup.find(rays, y, depths, places);
-                    for (x, pixel) in row.iter_mut().enumerate() {
-                        pixel.color = places.nearest_color(x, image);
-                    }
-                }
-            },
-        );
-        let tiles_x = width.div_ceil(TILE);
-        let mut farthest_in_tile = vec![0f32; tiles_x * (depth.len() / width).div_ceil(TILE)];
-        for (y, row) in depth.chunks(width).enumerate() {
-            for (tile, span) in row.chunks(TILE).enumerate() {
-                let farthest = &mut farthest_in_tile[y / TILE * tiles_x + tile];
-                *farthest = span.iter().fold(*farthest, |most, &z| most.max(z));
-            }
-        }
-        Frame {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let (length, tiles_x) = (width * height, width.div_ceil(TILE));
+        depth.resize(length, 0.0);
+        surface.resize(length + 1, NOTHING);
+        surface[length] = NOTHING;
+        farthest_in_tile.resize(tiles_x * height.div_ceil(TILE), 0.0);
+        let mut frame = Frame {
             camera,
             projector: Projector::new(&camera),
             base_from_depth: view.base_from_depth(),
-            depth: fitted_depth,
-            surface,
-            farthest: farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z)),
-            farthest_in_tile,
+            surface: &[],
+            farthest_in_tile: &[],
             tiles_x,
+            farthest: 0.0,
+            pixels: 0,
+            #[cfg(test)]
             thinning,
-            pixels,
+            touched: Vec::new(),
+        };
+        if length == 0 {
+            return Ok(frame);
         }
-    }
-}
 
-/// The camera's rays, and those of every second pixel.
-#[derive(Debug, Default)]
-pub(super) struct FrameCameras {
-    full: Option<Rays>,
-    thinned: Option<Rays>,
-}
+        let window = NormalWindow::of_maps(thinning);
+        let believed = BelievedRows::new(view, &options.filter, Some(rays), thinning);
+        let stride = InverseDepths::stride_of(width, window);
+        let bands = depth
+            .par_chunks_mut(width * TILE)
+            .zip(inverse.bands_mut(width, height, TILE, window))
+            .zip(farthest_in_tile.par_chunks_mut(tiles_x))
+            .enumerate();
+        let pixels = bands.map_init(RowScratch::default, |scratch, (band, ((rows, padded), tiles))| {
+            let mut pixels = 0;
+            tiles.fill(0.0);
+            for (y, (row, padded)) in rows.chunks_mut(width).zip(padded.chunks_mut(stride)).enumerate() {
+                believed.row(band * TILE + y, row, scratch);
+                window.invert(row, padded);
+                for (farthest, span) in tiles.iter_mut().zip(row.chunks(TILE)) {
+                    *farthest = span.iter().fold(*farthest, |most, &z| if z > most { z } else { most });
+                    pixels += span.iter().map(|z| u32::from(*z > 0.0)).sum::<u32>();
+                }
+            }
+            pixels
+        });
+        frame.pixels = pixels.sum::<u32>() as usize;
+        frame.farthest = farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z));
 
-impl FrameCameras {
-    fn full(&mut self, camera: &PinholeCamera) -> &Rays {
-        keep(&mut self.full, *camera)
-    }
-
-    /// The rays of a frame that was made with these cameras.
-    pub(super) fn thinned(&mut self, camera: &PinholeCamera, thinning: usize) -> &Rays {
-        if thinning == 1 {
-            return self.full(camera);
+        let search = Search::new(&frame, rays, farthest_in_tile, options);
+        let fitter = PatchFitter::with_inverse(depth, Cow::Borrowed(inverse), rays, &options.filter, window);
+        let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
+        let noise = &options.filter.noise;
+        let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
+        let bands = surface[..length].par_chunks_mut(width * TILE).enumerate();
+        let touched: Vec<Result<Vec<VoxelKey>, Error>> = bands
+            .map_init(BandScratch::default, |BandScratch { patches, places, touched }, (band, rows)| {
+                for (y, row) in rows.chunks_mut(width).enumerate() {
+                    let y = band * TILE + y;
+                    fitter.row(y, patches);
+                    fill_row(patches, rays.row(y), noise, row);
+                    let depths = &patches.depth[..width];
+                    if let Some((image, lookup)) = &lookup {
+                        lookup.find(rays, y, depths, places);
+                        for (x, pixel) in row.iter_mut().enumerate() {
+                            pixel.color = places.nearest_color(x, image);
+                        }
+                    }
+                    search.along_row(y, depths, touched)?;
+                }
+                touched.sort_unstable();
+                touched.dedup();
+                Ok(std::mem::take(touched))
+            })
+            .collect();
+        for band in touched {
+            frame.touched.extend(band?);
         }
-        let by = thinning as f64;
-        let mut thin = *camera;
-        (thin.width, thin.height) = (camera.width.div_ceil(thinning as u32), camera.height.div_ceil(thinning as u32));
-        (thin.fx, thin.fy, thin.cx, thin.cy) = (camera.fx / by, camera.fy / by, camera.cx / by, camera.cy / by);
-        keep(&mut self.thinned, thin)
+        frame.touched.sort_unstable();
+        frame.touched.dedup();
+        (frame.surface, frame.farthest_in_tile) = (surface, farthest_in_tile);
+        Ok(frame)
     }
-}
-
-fn keep(kept: &mut Option<Rays>, camera: PinholeCamera) -> &Rays {
-    if !kept.as_ref().is_some_and(|rays| rays.are_of(&camera)) {
-        *kept = None;
-    }
-    kept.get_or_insert_with(|| Rays::new(&camera))
-}
-
-/// Voxels as wide as this many pixels take their planes from every second pixel: a quarter of the work, and no voxel's
-/// pixel is farther away than a quarter of the voxel.
-const WIDE_VOXEL_PX: f32 = 4.0;
-
-/// Pixels between those that are fused, 1 or 2, by the width of a voxel at the mean depth.
-fn thinning(depth: &[f32], camera: &PinholeCamera, voxel_m: f64) -> usize {
-    // A sample of the pixels tells the mean well enough.
-    let seen = || depth.iter().step_by(13).filter(|z| **z > 0.0);
-    let mean = seen().sum::<f32>() / seen().count().max(1) as f32;
-    let width_px = voxel_m as f32 * camera.fx.min(camera.fy) as f32;
-    if width_px >= WIDE_VOXEL_PX * mean { 2 } else { 1 }
-}
-
-/// Every `thinning`-th pixel of every `thinning`-th row.
-fn thinned(depth: Vec<f32>, width: usize, thinning: usize) -> Vec<f32> {
-    if thinning == 1 {
-        return depth;
-    }
-    let rows = depth.chunks(width.max(1)).step_by(thinning);
-    rows.flat_map(|row| row.iter().copied().step_by(thinning)).collect()
 }
 
 /// Planes and weights of a row of pixels.

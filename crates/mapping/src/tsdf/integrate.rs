@@ -44,7 +44,7 @@ impl Update<'_> {
 
 impl Tsdf {
     /// Updates the blocks at the places given (sorted, no two alike), in parallel.
-    pub(super) fn update(&mut self, frame: &Frame, places: &[u32]) {
+    pub(super) fn update(&mut self, frame: &Frame<'_>, places: &[u32]) {
         let options = &self.options;
         let depth_from_base = frame.base_from_depth.inverse();
         let step = |axis: usize| {
@@ -54,7 +54,7 @@ impl Tsdf {
         let noise = &options.filter.noise;
         let (step_x, step_y) = (step(0), step(1));
         let update = Update {
-            pixels: &frame.surface,
+            pixels: frame.surface,
             projector: frame.projector,
             width: frame.camera.width as i32,
             nothing: frame.surface.len() as i32 - 1,

@@ -16,8 +16,10 @@
 
 mod allocate;
 mod block;
+mod cameras;
 mod frame;
 mod integrate;
+mod touched;
 
 pub(crate) use block::{BLOCK_EDGE, Block};
 
@@ -25,7 +27,7 @@ use block::BlockStore;
 
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{DepthFilter, Error, View};
-use frame::{Frame, FrameCameras};
+use frame::{Frame, FrameBuffers};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::PinholeCamera;
 
@@ -106,7 +108,7 @@ impl TsdfOptions {
 /// What one image did to the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Integration {
-    /// Depth pixels that were believed.
+    /// Depth pixels that were believed and fused: every second of every second row where voxels are wide in the image.
     pub pixels: usize,
     /// Blocks of 8 x 8 x 8 voxels that were updated.
     pub blocks_updated: usize,
@@ -118,7 +120,7 @@ pub struct Integration {
 #[derive(Debug)]
 pub struct Tsdf {
     options: TsdfOptions,
-    cameras: FrameCameras,
+    buffers: FrameBuffers,
     /// Where a block stands in `blocks`.
     index: VoxelMap<u32>,
     keys: Vec<VoxelKey>,
@@ -134,7 +136,7 @@ impl Tsdf {
         options.check()?;
         Ok(Tsdf {
             options,
-            cameras: FrameCameras::default(),
+            buffers: FrameBuffers::default(),
             index: VoxelMap::default(),
             keys: Vec::new(),
             blocks: BlockStore::default(),
@@ -146,16 +148,20 @@ impl Tsdf {
     /// Fuses one view. On an error the map is as it was. A view without any believed pixel changes nothing.
     pub fn integrate(&mut self, view: &View<'_>) -> Result<Integration, Error> {
         view.check()?;
-        let frame = Frame::new(view, &mut self.cameras, &self.options);
-        let rays = self.cameras.thinned(&view.depth_camera.camera, frame.thinning);
-        let touched = frame.touched_blocks(rays, &self.options)?;
-        let (mut updated, blocks_new) = self.allocate(&touched)?;
+        let mut buffers = std::mem::take(&mut self.buffers);
+        let integration = Frame::new(view, &mut buffers, &self.options).and_then(|frame| self.integrate_frame(&frame));
+        self.buffers = buffers;
+        integration
+    }
+
+    fn integrate_frame(&mut self, frame: &Frame<'_>) -> Result<Integration, Error> {
+        let (mut updated, blocks_new) = self.allocate(&frame.touched)?;
         if self.options.carving == SpaceCarving::On && frame.pixels > 0 {
-            self.add_blocks_in_free_space(&frame, &mut updated);
+            self.add_blocks_in_free_space(frame, &mut updated);
         }
         updated.sort_unstable();
         updated.dedup();
-        self.update(&frame, &updated);
+        self.update(frame, &updated);
         self.views += 1;
         Ok(Integration { pixels: frame.pixels, blocks_updated: updated.len(), blocks_new })
     }
@@ -332,7 +338,10 @@ pub(crate) mod tests {
         let depth = DepthImage::new(161, 121, depth.collect()).unwrap();
         let mut tsdf = Tsdf::new(TsdfOptions { voxel_m: 0.02, ..Default::default() }).unwrap();
         tsdf.integrate(&view(&depth, &camera)).unwrap();
-        assert_eq!(Frame::new(&view(&depth, &camera), &mut FrameCameras::default(), tsdf.options()).thinning, 2);
+        assert_eq!(
+            Frame::new(&view(&depth, &camera), &mut FrameBuffers::default(), tsdf.options()).unwrap().thinning,
+            2
+        );
         let mut seen = 0;
         for (x, y) in (-8..=8).flat_map(|x| (-6..=6).map(move |y| (x, y))) {
             let (x, y) = (f64::from(x) * 0.02 + 0.01, f64::from(y) * 0.02 + 0.01);
