@@ -37,10 +37,10 @@ bench-features *ARGS:
 bench-mapping *ARGS:
     sh benchmarks/mapping/run.sh {{ ARGS }}
 
-# Damaged recordings, rigs, tables and URDFs, COUNT of each kind; `just fuzz 1000` for a look.
+# Damaged recordings, rigs, URDFs, tables, maps, images: COUNT of each kind; `just fuzz 1000` for a look.
 fuzz COUNT="1000000":
-    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam-recordings --release --test mutations -- mutated --nocapture
-    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam --release --test mutated_texts -- mutated --nocapture
+    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam-recordings --release --test mutations -- damaged --nocapture --test-threads=1
+    SKCLAM_FUZZ={{ COUNT }} cargo test -p skclam --release --test mutated_files -- damaged --nocapture --test-threads=1
 
 # Everything that must hold before a change lands.
 ci:

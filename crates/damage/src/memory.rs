@@ -12,6 +12,18 @@ pub(crate) fn allow_more(bytes: usize) {
     let _ = ALLOCATOR.set_limit(ALLOCATOR.allocated().saturating_add(bytes));
 }
 
+/// Takes the limit away before a panic's message is made, which takes more than most readers may.
+pub(crate) fn allow_all_to_panics() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        let told = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            allow_all();
+            told(panic);
+        }));
+    });
+}
+
 /// Takes the limit away.
 pub(crate) fn allow_all() {
     let _ = ALLOCATOR.set_limit(usize::MAX);

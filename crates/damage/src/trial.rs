@@ -1,6 +1,6 @@
 //! A reader on trial.
 
-use crate::memory::{allow_all, allow_more, peak_allocated_mib, peak_resident_mib};
+use crate::memory::{allow_all, allow_all_to_panics, allow_more, peak_allocated_mib, peak_resident_mib};
 use crate::watchdog::Watchdog;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -79,6 +79,7 @@ impl Trial<'_> {
             return;
         }
         let _alone = alone();
+        allow_all_to_panics();
         let folder = tempfile::Builder::new().prefix("damaged-").tempdir().expect("a folder for damaged files");
         let watchdog = Watchdog::start(HANGS);
         for seed in self.seeds {

@@ -184,6 +184,8 @@ enum BoardKind {
 const MAX_RIG_BYTES: u64 = 4 << 20;
 /// The largest robot description that is read; meshes lie in files of their own.
 const MAX_URDF_BYTES: u64 = 16 << 20;
+/// The smallest length above 0 that is believed, millimetres.
+const LEAST_MM: f64 = 1e-6;
 /// The largest image side that is believed, pixels.
 const MAX_SIDE: u32 = 32_768;
 
@@ -238,6 +240,15 @@ impl Reader<'_> {
             Ok(value)
         } else {
             Err(self.value(key, format!("{value} given; a number above 0 is needed")))
+        }
+    }
+
+    /// A length above 0 that is still one when the file is written again: what is below a nanometre is a slip of units.
+    fn positive_mm(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
+        if value.is_finite() && value >= LEAST_MM {
+            Ok(value)
+        } else {
+            Err(self.value(key, format!("{value} given; a number above 0 is needed, in mm at least {LEAST_MM}")))
         }
     }
 
@@ -407,7 +418,7 @@ impl Reader<'_> {
         let DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm, offset_mm, mask, color_from_depth } =
             table;
         let (camera, mask) = self.camera("depth", CameraTable { width, height, fx, fy, cx, cy, distortion, mask })?;
-        let unit_m = self.positive("depth.unit_mm", unit_mm)? * 1e-3;
+        let unit_m = self.positive_mm("depth.unit_mm", unit_mm)? * 1e-3;
         let offset_m = self.finite("depth.offset_mm", offset_mm)? * 1e-3;
         let color_from_depth = match color_from_depth {
             None => Isometry3::identity(),
@@ -424,18 +435,24 @@ impl Reader<'_> {
                 );
             }
         }
-        let square_m = self.positive("board.square_mm", table.square_mm)? * 1e-3;
+        let square_m = self.positive_mm("board.square_mm", table.square_mm)? * 1e-3;
         let pattern = match (table.kind, table.dictionary, table.marker_mm) {
             (BoardKind::Checkerboard, None, None) => BoardPattern::Checkerboard,
             (BoardKind::Checkerboard, ..) => {
                 return Err(self.value("board", "dictionary and marker_mm belong to kind = \"charuco\""));
             }
             (BoardKind::Charuco, Some(dictionary), Some(marker_mm)) => {
-                let marker_mm = self.positive("board.marker_mm", marker_mm)?;
+                let marker_mm = self.positive_mm("board.marker_mm", marker_mm)?;
+                let marker_um = (marker_mm * 1e3).round() as u64;
+                if marker_um == 0 {
+                    return Err(
+                        self.value("board.marker_mm", format!("{marker_mm} given; at least 0.001 mm is needed"))
+                    );
+                }
                 if marker_mm >= table.square_mm {
                     return Err(self.value("board.marker_mm", "a marker is smaller than the square it stands in"));
                 }
-                BoardPattern::Charuco { dictionary, marker_um: (marker_mm * 1e3).round() as u64 }
+                BoardPattern::Charuco { dictionary, marker_um }
             }
             (BoardKind::Charuco, ..) => {
                 return Err(

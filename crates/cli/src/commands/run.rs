@@ -97,7 +97,7 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
         None => preset,
         Some(path) => {
             let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-            overlaid(&preset, &text).with_context(|| path.display().to_string())?
+            preset.overlaid(&text).with_context(|| path.display().to_string())?
         }
     };
     if let Some(free) = &args.free {
@@ -107,28 +107,6 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
         config.seed = seed;
     }
     Ok(config)
-}
-
-/// The preset with every key that the file gives replaced; a whole summary.json stands for its `configuration`.
-fn overlaid(preset: &Config, text: &str) -> Result<Config> {
-    let mut given: serde_json::Value = serde_json::from_str(text)?;
-    if let Some(inner) = given.get_mut("configuration") {
-        given = inner.take();
-    }
-    let mut merged = serde_json::to_value(preset)?;
-    overlay(&mut merged, given);
-    Ok(serde_json::from_value(merged)?)
-}
-
-fn overlay(base: &mut serde_json::Value, given: serde_json::Value) {
-    match (base, given) {
-        (serde_json::Value::Object(base), serde_json::Value::Object(given)) => {
-            for (key, value) in given {
-                overlay(base.entry(key).or_insert(serde_json::Value::Null), value);
-            }
-        }
-        (base, given) => *base = given,
-    }
 }
 
 /// The table of a run.
@@ -279,23 +257,5 @@ fn show_poses(summary: &Summary) {
     }
     if table.row_count() > 0 {
         println!("{table}\n");
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_file_replaces_only_what_it_names() {
-        let config = overlaid(&Config::paper(), r#"{"filter": {"best": 50}, "seed": 9}"#).unwrap();
-        let mut expected = Config::paper();
-        expected.filter.best = Some(50);
-        expected.seed = 9;
-        assert_eq!(config, expected);
-        let summary =
-            format!(r#"{{"program": "skclam", "configuration": {}}}"#, serde_json::to_string(&expected).unwrap());
-        assert_eq!(overlaid(&Config::default(), &summary).unwrap(), expected);
-        assert!(overlaid(&Config::default(), r#"{"filter": {"bets": 50}}"#).unwrap_err().to_string().contains("bets"));
     }
 }

@@ -20,6 +20,8 @@ pub struct PostureRecord {
 
 /// The most postures that are believed; a recording of weeks has fewer.
 const MAX_POSTURES: usize = 1_000_000;
+/// Numbers of the table are smaller, in whatever unit: seconds since 1970 are 1e9.
+const LARGEST_NUMBER: f64 = 1e12;
 /// The most joints that are believed.
 const MAX_JOINTS: usize = 64;
 
@@ -157,10 +159,12 @@ impl Table<'_> {
         let number = |column: usize| {
             let text = field(column);
             match text.parse::<f64>() {
-                Ok(value) if value.is_finite() => Ok(value),
+                // What is larger is infinite in another unit, and no angle, length or time.
+                Ok(value) if value.abs() < LARGEST_NUMBER => Ok(value),
                 _ => {
                     let name = header.get(column).unwrap_or_default();
-                    Err(self.error(line, format!("{name} is \"{text}\"; a finite number is needed")))
+                    let problem = format!("{name} is \"{text}\"; a finite number below {LARGEST_NUMBER:e} is needed");
+                    Err(self.error(line, problem))
                 }
             }
         };

@@ -128,11 +128,64 @@ impl Config {
         }
     }
 
+    /// These settings with every key replaced that a JSON text gives; a whole `summary.json` stands for its `configuration`.
+    ///
+    /// # Errors
+    /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting.
+    pub fn overlaid(&self, text: &str) -> Result<Config, serde_json::Error> {
+        let mut given: serde_json::Value = serde_json::from_str(text)?;
+        if let Some(inner) = given.get_mut("configuration") {
+            given = inner.take();
+        }
+        let mut merged = serde_json::to_value(self)?;
+        overlay(&mut merged, given);
+        let config: Config = serde_json::from_value(merged.clone())?;
+        // A number beyond a setting's precision becomes infinite, which JSON has no word for.
+        match overflowing(&merged, &serde_json::to_value(&config)?) {
+            None => Ok(config),
+            Some((key, number)) => {
+                Err(serde::de::Error::custom(format!("{key}: {number} is too large; a finite number is needed")))
+            }
+        }
+    }
+
     /// The filters with the gate in pixels, Eq. (6): `d_th = theta_th / theta_h * q_h`, and with this run's seed.
     pub fn filter(&self, camera: &PinholeCamera) -> FilterOptions {
         let gate_px = self.gate_deg.map(|angle| angle.to_radians() / camera.hfov() * f64::from(camera.width));
         let ransac = self.filter.ransac.clone().map(|ransac| RansacOptions { seed: self.seed, ..ransac });
         FilterOptions { gate_px, ransac, ..self.filter.clone() }
+    }
+}
+
+fn overlay(base: &mut serde_json::Value, given: serde_json::Value) {
+    match (base, given) {
+        (serde_json::Value::Object(base), serde_json::Value::Object(given)) => {
+            for (key, value) in given {
+                overlay(base.entry(key).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (base, given) => *base = given,
+    }
+}
+
+/// The key and the number of the first setting that was given as a number and is none.
+fn overflowing(given: &serde_json::Value, kept: &serde_json::Value) -> Option<(String, String)> {
+    use serde_json::Value::{Array, Null, Number, Object};
+    let below = |key: &str, inner: (String, String)| match inner.0.is_empty() {
+        true => (key.to_owned(), inner.1),
+        false => (format!("{key}.{}", inner.0), inner.1),
+    };
+    match (given, kept) {
+        (Number(number), Null) => Some((String::new(), number.to_string())),
+        (Object(given), Object(kept)) => {
+            given.iter().find_map(|(key, value)| Some(below(key, overflowing(value, kept.get(key)?)?)))
+        }
+        (Array(given), Array(kept)) => given
+            .iter()
+            .zip(kept)
+            .enumerate()
+            .find_map(|(at, (given, kept))| Some(below(&at.to_string(), overflowing(given, kept)?))),
+        _ => None,
     }
 }
 
@@ -153,5 +206,18 @@ mod tests {
         let text = serde_json::to_string(&config).unwrap();
         assert_eq!(serde_json::from_str::<Config>(&text).unwrap(), config);
         assert!(serde_json::from_str::<Config>(r#"{"sed": 3}"#).unwrap_err().to_string().contains("sed"));
+    }
+
+    #[test]
+    fn a_file_replaces_only_what_it_names() {
+        let config = Config::paper().overlaid(r#"{"filter": {"best": 50}, "seed": 9}"#).unwrap();
+        let mut expected = Config::paper();
+        expected.filter.best = Some(50);
+        expected.seed = 9;
+        assert_eq!(config, expected);
+        let summary =
+            format!(r#"{{"program": "skclam", "configuration": {}}}"#, serde_json::to_string(&expected).unwrap());
+        assert_eq!(Config::default().overlaid(&summary).unwrap(), expected);
+        assert!(Config::default().overlaid(r#"{"filter": {"bets": 50}}"#).unwrap_err().to_string().contains("bets"));
     }
 }
