@@ -18,4 +18,4 @@ pub use bytes::damaged_bytes;
 pub use memory::peak_resident_mib;
 pub use rand_chacha::ChaCha8Rng;
 pub use text::damaged_text;
-pub use trial::{Seed, Trial, alone};
+pub use trial::{Seed, Trial};

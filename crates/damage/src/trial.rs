@@ -50,7 +50,7 @@ pub struct Trial<'a> {
 }
 
 /// Holds the allocator's limit and the clock for one reader at a time, as tests run side by side.
-pub fn alone() -> MutexGuard<'static, ()> {
+fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
