@@ -156,7 +156,7 @@ mod tests {
     use skclam_rig::PostureState;
 
     fn two_postures() -> Correspondences {
-        let posture = |index| Posture { index, timestamp_s: None, state: PostureState::Joints(vec![0.0]) };
+        let posture = |index| Posture::new(index, PostureState::Joints(vec![0.0]));
         Correspondences { postures: vec![posture(0), posture(1)], ..Default::default() }
     }
 

@@ -123,11 +123,8 @@ mod tests {
         let mut rig = hp3j();
         rig.robot = None;
         rig.flange_from_color = Isometry3::identity();
-        let at = |index, x| skclam_rig::Posture {
-            index,
-            timestamp_s: None,
-            state: PostureState::FlangePose(Isometry3::translation(x, 0.0, 0.0)),
-        };
+        let at =
+            |index, x| skclam_rig::Posture::new(index, PostureState::FlangePose(Isometry3::translation(x, 0.0, 0.0)));
         let m = |row| crate::PairMatch {
             in_a: Pixel::new(100.0, 200.0),
             in_b: Pixel::new(80.0, row),

@@ -20,6 +20,8 @@ pub enum Free {
     All,
     /// These, in this order.
     List(Vec<Parameter>),
+    /// What [`Free::Auto`] or [`Free::All`] frees, and these besides: `auto,gears`.
+    With(Box<Free>, Vec<Parameter>),
 }
 
 /// The text is no selection of parameters.
@@ -35,17 +37,16 @@ pub struct ParseFreeError {
 }
 
 impl Free {
-    /// Reads `auto`, `angles`, `all`, or a comma-separated list of parameters and groups: `alpha_2,theta_offset_3,mount,fx`.
-    /// Groups of the arm depend on the rig.
+    /// Reads `auto`, `angles`, `all`, or a comma-separated list of parameters and groups: `alpha_2,theta_offset_3,mount,fx`. A list that begins with `auto`
+    /// or `all` adds to it: `auto,gears`. Groups of the arm depend on the rig.
     pub fn parse(text: &str, rig: &Rig) -> Result<Self, CalibrationError> {
-        match text.trim() {
-            "auto" => return Ok(Free::Auto),
-            "angles" => return Ok(Free::Angles),
-            "all" => return Ok(Free::All),
-            _ => {}
+        let (base, rest) = split_base(text);
+        let Some(rest) = rest else { return Ok(base.unwrap_or_default()) };
+        if rest == "angles" && base.is_none() {
+            return Ok(Free::Angles);
         }
         let mut list = Vec::new();
-        for word in text.split(',').map(str::trim) {
+        for word in rest.split(',').map(str::trim) {
             let joints = rig.robot.as_ref().map_or(0, |robot| robot.joint_count());
             let of_arm = |keep: &dyn Fn(ParameterKind) -> bool| {
                 arm(rig).into_iter().filter(|id| keep(id.kind)).map(Parameter::Chain).collect::<Vec<_>>()
@@ -67,7 +68,22 @@ impl Free {
             };
             list.extend(group.into_iter().filter(|parameter| !list.contains(parameter)).collect::<Vec<_>>());
         }
-        Ok(Free::List(list))
+        Ok(Free::joined(base, list))
+    }
+
+    fn joined(base: Option<Free>, list: Vec<Parameter>) -> Self {
+        match base {
+            None => Free::List(list),
+            Some(base) => Free::With(Box::new(base), list),
+        }
+    }
+
+    /// Whether it frees what the data can identify, or everything, whatever besides: then priors and the gauge hold what cannot be seen.
+    pub(crate) fn is_open(&self) -> bool {
+        match self {
+            Free::Auto | Free::All | Free::With(..) => true,
+            Free::Angles | Free::List(_) => false,
+        }
     }
 
     /// The ordered list of parameters that the selection stands for before the data are heard: arm (base to flange), mount,
@@ -79,6 +95,11 @@ impl Free {
         let mut list = match self {
             Free::Angles => angles(rig),
             Free::List(list) => list.clone(),
+            Free::With(base, more) => {
+                let mut list = base.candidates(rig, has_joints, has_depth)?;
+                list.extend(more.iter().filter(|parameter| !list.contains(parameter)).collect::<Vec<_>>());
+                list
+            }
             Free::Auto | Free::All => {
                 let gauge = if *self == Free::Auto { gauge(rig) } else { Vec::new() };
                 let chain = arm(rig).into_iter().map(Parameter::Chain).filter(|p| !gauge.contains(p));
@@ -129,6 +150,17 @@ impl Free {
     }
 }
 
+/// `auto` or `all` at the head of a list, and the rest of it; one of the two is there.
+fn split_base(text: &str) -> (Option<Free>, Option<&str>) {
+    let text = text.trim();
+    let (first, rest) = text.split_once(',').map_or((text, None), |(first, rest)| (first.trim(), Some(rest.trim())));
+    match first {
+        "auto" => (Some(Free::Auto), rest),
+        "all" => (Some(Free::All), rest),
+        _ => (None, Some(text)),
+    }
+}
+
 fn arm(rig: &Rig) -> Vec<ParameterId> {
     rig.robot.as_ref().map(|robot| robot.parameter_ids()).unwrap_or_default()
 }
@@ -172,6 +204,7 @@ impl fmt::Display for Free {
             Free::Auto => f.write_str("auto"),
             Free::Angles => f.write_str("angles"),
             Free::All => f.write_str("all"),
+            Free::With(base, more) => write!(f, "{base},{}", Free::List(more.clone())),
             Free::List(list) => {
                 for (at, parameter) in list.iter().enumerate() {
                     write!(f, "{}{parameter}", if at == 0 { "" } else { "," })?;
@@ -187,20 +220,16 @@ impl FromStr for Free {
 
     /// As [`Free::parse`], without the groups that need a rig.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        Ok(match text.trim() {
-            "auto" => Free::Auto,
-            "angles" => Free::Angles,
-            "all" => Free::All,
-            list => Free::List(
-                list.split(',')
-                    .map(|word| {
-                        word.trim()
-                            .parse()
-                            .map_err(|error| ParseFreeError { word: word.to_owned(), reason: format!("{error}") })
-                    })
-                    .collect::<Result<_, _>>()?,
-            ),
-        })
+        let (base, rest) = split_base(text);
+        let Some(rest) = rest else { return Ok(base.unwrap_or_default()) };
+        if rest == "angles" && base.is_none() {
+            return Ok(Free::Angles);
+        }
+        let parameter = |word: &str| {
+            let word = word.trim();
+            word.parse().map_err(|error| ParseFreeError { word: word.to_owned(), reason: format!("{error}") })
+        };
+        Ok(Free::joined(base, rest.split(',').map(parameter).collect::<Result<_, _>>()?))
     }
 }
 
@@ -249,6 +278,22 @@ mod tests {
         let list = Free::Auto.candidates(&hp3j(), true, false).unwrap();
         assert_eq!(list.len(), 24);
         assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 25, "and the depth's offset");
+    }
+
+    #[test]
+    fn lists_add_to_auto_and_all() {
+        let rig = hp3j();
+        let free = Free::parse("auto, gears,mount_x", &rig).unwrap();
+        let list = free.candidates(&rig, true, true).unwrap();
+        assert_eq!(list.len(), 25 + 12, "the mount's x is there already");
+        assert_eq!(list[..25], Free::Auto.candidates(&rig, true, true).unwrap());
+        assert_eq!(free.to_string().parse::<Free>().unwrap(), free);
+        assert!(free.is_open() && Free::parse("all,compliance", &rig).unwrap().is_open());
+        let angles = Free::parse("auto,angles", &rig).unwrap().candidates(&rig, true, true).unwrap();
+        assert_eq!(angles.len(), 26, "theta_offset_6 is the gauge, which auto leaves out");
+        for bad in ["auto,", "gears,auto", "auto,auto", ",", ""] {
+            assert!(Free::parse(bad, &rig).is_err(), "{bad:?}");
+        }
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub use held_out::{
     without_postures,
 };
 pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
-pub use model::{DepthCorrection, JointCorrection, Model};
+pub use model::{DepthCorrection, Model};
 pub use mount_search::find_mount;
 pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
 pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};

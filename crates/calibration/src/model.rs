@@ -1,9 +1,9 @@
-//! The calibrated state: a rig and the corrections that a rig file has no place for.
+//! The calibrated state: a rig, and how its measured depth is to be read.
 
 use crate::{CalibrationError, Parameter};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-use skclam_rig::Rig;
+use skclam_rig::{JointCorrection, JointCorrections, Rig};
 
 /// `z = offset + scale z_measured`, metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -20,40 +20,21 @@ impl Default for DepthCorrection {
     }
 }
 
-/// What a joint does beside its encoder: `q + gear_sin sin(q) + gear_cos cos(q) + compliance * lever`.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct JointCorrection {
-    /// Radians.
-    pub gear_sin: f64,
-    /// Radians.
-    pub gear_cos: f64,
-    /// Radians a metre of lever arm.
-    pub compliance: f64,
-}
-
-/// A rig and the corrections that a rig file has no place for.
+/// A rig, and how its measured depth is to be read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Arm, mount, cameras. Its depth camera's unit is untouched: see `depth`, and [`Model::corrected_rig`].
+    /// Arm, what its joints do beside their encoders, mount, cameras. Its depth camera's unit is untouched: see `depth`, and [`Model::corrected_rig`].
     pub rig: Rig,
     /// Of the measured depth.
     pub depth: DepthCorrection,
-    /// Seconds by which the joints must be taken later than the posture's timestamp says.
-    pub time_offset_s: f64,
-    /// One a joint; empty without an arm.
-    pub joints: Vec<JointCorrection>,
 }
 
 impl Model {
-    /// A rig without corrections.
-    pub fn new(rig: Rig) -> Self {
+    /// A rig as it is.
+    pub fn new(mut rig: Rig) -> Self {
         let joints = rig.robot.as_ref().map_or(0, |robot| robot.joint_count());
-        Model {
-            rig,
-            depth: DepthCorrection::default(),
-            time_offset_s: 0.0,
-            joints: vec![JointCorrection::default(); joints],
-        }
+        rig.joint_corrections.joints.resize(joints, JointCorrection::default());
+        Model { rig, depth: DepthCorrection::default() }
     }
 
     /// The rig with the depth correction worked into its depth camera's unit and offset.
@@ -62,6 +43,9 @@ impl Model {
         if let Some(depth) = &mut rig.depth {
             depth.unit_m *= self.depth.scale;
             depth.offset_m = self.depth.offset_m + self.depth.scale * depth.offset_m;
+        }
+        if rig.joint_corrections.is_none() {
+            rig.joint_corrections = JointCorrections::default();
         }
         rig
     }
@@ -79,10 +63,10 @@ impl Model {
             Parameter::Intrinsic(intrinsic) => self.rig.color.intrinsics()[intrinsic as usize],
             Parameter::DepthScale => self.depth.scale,
             Parameter::DepthOffset => self.depth.offset_m,
-            Parameter::TimeOffset => self.time_offset_s,
-            Parameter::GearSin(joint) => self.joints.get(joint)?.gear_sin,
-            Parameter::GearCos(joint) => self.joints.get(joint)?.gear_cos,
-            Parameter::Compliance(joint) => self.joints.get(joint)?.compliance,
+            Parameter::TimeOffset => self.rig.joint_corrections.time_offset_s,
+            Parameter::GearSin(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_sin,
+            Parameter::GearCos(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_cos,
+            Parameter::Compliance(joint) => self.rig.joint_corrections.joints.get(joint)?.compliance,
         })
     }
 
@@ -92,6 +76,9 @@ impl Model {
         let mut model = self.clone();
         let mut turn = Vector3::zeros();
         let mut intrinsics = self.rig.color.intrinsics();
+        fn of_joint(model: &mut Model, joint: usize) -> Option<&mut JointCorrection> {
+            model.rig.joint_corrections.joints.get_mut(joint)
+        }
         for (&parameter, &change) in parameters.iter().zip(delta) {
             let missing = || CalibrationError::NoSuchParameter { parameter, reason: "no such joint".to_owned() };
             match parameter {
@@ -107,10 +94,10 @@ impl Model {
                 Parameter::Intrinsic(intrinsic) => intrinsics[intrinsic as usize] += change,
                 Parameter::DepthScale => model.depth.scale += change,
                 Parameter::DepthOffset => model.depth.offset_m += change,
-                Parameter::TimeOffset => model.time_offset_s += change,
-                Parameter::GearSin(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.gear_sin += change,
-                Parameter::GearCos(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.gear_cos += change,
-                Parameter::Compliance(joint) => model.joints.get_mut(joint).ok_or_else(missing)?.compliance += change,
+                Parameter::TimeOffset => model.rig.joint_corrections.time_offset_s += change,
+                Parameter::GearSin(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_sin += change,
+                Parameter::GearCos(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_cos += change,
+                Parameter::Compliance(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.compliance += change,
             }
         }
         model.rig.color = model.rig.color.with_intrinsics(intrinsics);
@@ -154,6 +141,33 @@ mod tests {
         let corrected = model.corrected_rig().depth.unwrap();
         let measured = |camera: &skclam_geometry::DepthCamera| camera.offset_m + 700.0 * camera.unit_m;
         assert!((measured(&corrected) - (-5e-3 + 1.01 * measured(&nominal))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn gears_that_were_estimated_go_into_the_rig_and_pose_its_cameras() {
+        use crate::synthetic::{diverse_postures, half_pixel, record, room, seeded};
+        use crate::{BundleOptions, calibrate_bundle, camera_poses};
+        let mut rng = seeded(6);
+        let mut truth = hp3j();
+        let one = JointCorrection { gear_sin: 2e-3, gear_cos: -1e-3, compliance: 0.0 };
+        truth.joint_corrections.joints = vec![one; 6];
+        let postures = diverse_postures(&truth, 40, &mut rng);
+        let data = record(&truth, &postures, &room(3000, &mut rng), half_pixel(), &mut rng);
+        let free = Free::parse("auto,gears", &hp3j()).unwrap();
+        let found = calibrate_bundle(&hp3j(), &data, &BundleOptions { free, ..Default::default() }).unwrap();
+        let rig = found.model.corrected_rig();
+        let error = |rig: &Rig, posture: &skclam_rig::Posture| {
+            let [is, told] = [&truth, rig].map(|rig| rig.base_from_color(posture).unwrap());
+            // The base's turn about joint 1 is free: heights and radii are compared.
+            let [is, told] = [is, told].map(|pose| pose.translation.vector);
+            (is.z - told.z).hypot(is.xy().norm() - told.xy().norm())
+        };
+        for (posture, pose) in postures.iter().zip(camera_poses(&found.model, &postures).unwrap()) {
+            assert!((rig.base_from_color(posture).unwrap().to_homogeneous() - pose.to_homogeneous()).norm() < 1e-6);
+        }
+        let mean = |rig: &Rig| postures.iter().map(|posture| error(rig, posture)).sum::<f64>() / 40.0;
+        let (before, after) = (mean(&hp3j()), mean(&rig));
+        assert!(before > 1e-3 && after < 0.2e-3, "{before} m, then {after} m");
     }
 
     #[test]

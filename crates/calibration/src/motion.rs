@@ -7,18 +7,7 @@
 use crate::{CalibrationError, Model, Parameter};
 use nalgebra::{Vector3, Vector6};
 use skclam_geometry::Isometry3;
-use skclam_rig::{Posture, PostureState, Rig, RigError};
-
-/// What multiplies the corrections of one joint in one posture.
-#[derive(Debug, Clone, Copy)]
-struct JointRegressor {
-    /// The encoder's value.
-    value: f64,
-    /// Change a second, from the neighbouring postures' timestamps.
-    rate: f64,
-    /// Torque about the axis of a unit weight at the flange, metres, from the nominal arm; the base's z points up.
-    lever: f64,
-}
+use skclam_rig::{JointReading, Posture, PostureState, Rig, RigError, joint_readings};
 
 /// The postures of a recording, ready to be posed by any model of the same arm.
 #[derive(Debug, Clone)]
@@ -28,7 +17,7 @@ pub(crate) struct Motion {
 
 #[derive(Debug, Clone)]
 enum PostureMotion {
-    Joints { index: u64, regressors: Vec<JointRegressor> },
+    Joints { index: u64, readings: Vec<JointReading> },
     Flange(Isometry3),
 }
 
@@ -44,31 +33,14 @@ pub(crate) struct CameraMotion {
 
 impl Motion {
     pub(crate) fn new(nominal: &Rig, postures: &[Posture]) -> Result<Self, CalibrationError> {
-        let values = |at: usize| match &postures[at].state {
-            PostureState::Joints(values) => Some((postures[at].timestamp_s?, values)),
-            PostureState::FlangePose(_) => None,
-        };
-        let postures = postures.iter().enumerate().map(|(at, posture)| match &posture.state {
+        let postures = postures.iter().map(|posture| match &posture.state {
             PostureState::FlangePose(base_from_flange) => Ok(PostureMotion::Flange(*base_from_flange)),
             PostureState::Joints(joints) => {
                 let index = posture.index;
                 let robot = nominal.robot.as_ref().ok_or(RigError::NoRobot { index })?;
-                let jacobian = robot.jacobian(joints).map_err(|source| RigError::Kinematics { index, source })?;
-                let flange = jacobian.base_from_flange.translation.vector;
-                let before = values(at.saturating_sub(1));
-                let after = values((at + 1).min(postures.len() - 1));
-                let regressors = joints.iter().enumerate().map(|(joint, &value)| {
-                    let twist = jacobian.by_joint[joint];
-                    let omega = Vector3::new(twist[3], twist[4], twist[5]);
-                    let rate = match (before, after) {
-                        (Some((t0, q0)), Some((t1, q1))) if t1 > t0 && q0.len() == q1.len() => {
-                            (q1[joint] - q0[joint]) / (t1 - t0)
-                        }
-                        _ => 0.0,
-                    };
-                    JointRegressor { value, rate, lever: -(twist[2] + omega.cross(&flange).z) }
-                });
-                Ok(PostureMotion::Joints { index, regressors: regressors.collect() })
+                let readings = joint_readings(robot, joints, &posture.joint_rates)
+                    .map_err(|source| RigError::Kinematics { index, source })?;
+                Ok(PostureMotion::Joints { index, readings })
             }
         });
         Ok(Motion { postures: postures.collect::<Result<_, CalibrationError>>()? })
@@ -87,9 +59,9 @@ impl Motion {
     pub(crate) fn pose(&self, model: &Model, posture: usize, deviation: &[f64]) -> Result<Isometry3, CalibrationError> {
         let base_from_flange = match &self.postures[posture] {
             PostureMotion::Flange(base_from_flange) => *base_from_flange,
-            PostureMotion::Joints { index, regressors } => {
+            PostureMotion::Joints { index, readings } => {
                 let robot = model.rig.robot.as_ref().ok_or(RigError::NoRobot { index: *index })?;
-                robot.base_from_flange(&corrected(model, regressors, deviation))?
+                robot.base_from_flange(&corrected(model, readings, deviation))?
             }
         };
         Ok(base_from_flange * model.rig.flange_from_color)
@@ -114,12 +86,12 @@ impl Motion {
         posture: usize,
         deviation: &[f64],
     ) -> Result<CameraMotion, CalibrationError> {
-        let (base_from_flange, chain, by_joint, regressors) = match &self.postures[posture] {
+        let (base_from_flange, chain, by_joint, readings) = match &self.postures[posture] {
             PostureMotion::Flange(pose) => (*pose, Vec::new(), Vec::new(), &[][..]),
-            PostureMotion::Joints { index, regressors } => {
+            PostureMotion::Joints { index, readings } => {
                 let robot = model.rig.robot.as_ref().ok_or(RigError::NoRobot { index: *index })?;
-                let jacobian = robot.jacobian(&corrected(model, regressors, deviation))?;
-                (jacobian.base_from_flange, jacobian.by_parameter, jacobian.by_joint, &regressors[..])
+                let jacobian = robot.jacobian(&corrected(model, readings, deviation))?;
+                (jacobian.base_from_flange, jacobian.by_parameter, jacobian.by_joint, &readings[..])
             }
         };
         let base_from_camera = base_from_flange * model.rig.flange_from_color;
@@ -137,16 +109,16 @@ impl Motion {
                 if component.is_rotation() { stack(&zero, &axis) } else { stack(&axis, &zero) }
             }
             Parameter::TimeOffset => {
-                by_joint.iter().zip(regressors).fold(Vector6::zeros(), |sum, (twist, r)| sum + twist * r.rate)
+                by_joint.iter().zip(readings).fold(Vector6::zeros(), |sum, (twist, r)| sum + twist * r.rate)
             }
             Parameter::GearSin(joint) => {
-                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * regressors[joint].value.sin())
+                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].value.sin())
             }
             Parameter::GearCos(joint) => {
-                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * regressors[joint].value.cos())
+                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].value.cos())
             }
             Parameter::Compliance(joint) => {
-                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * regressors[joint].lever)
+                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].lever)
             }
             Parameter::Intrinsic(_) | Parameter::DepthScale | Parameter::DepthOffset => Vector6::zeros(),
         };
@@ -155,15 +127,10 @@ impl Motion {
     }
 }
 
-fn corrected(model: &Model, regressors: &[JointRegressor], deviation: &[f64]) -> Vec<f64> {
-    let correct = |(joint, r): (usize, &JointRegressor)| {
-        let gear = model
-            .joints
-            .get(joint)
-            .map_or(0.0, |c| c.gear_sin * r.value.sin() + c.gear_cos * r.value.cos() + c.compliance * r.lever);
-        r.value + gear + model.time_offset_s * r.rate + deviation.get(joint).copied().unwrap_or(0.0)
-    };
-    regressors.iter().enumerate().map(correct).collect()
+fn corrected(model: &Model, readings: &[JointReading], deviation: &[f64]) -> Vec<f64> {
+    let mut values = model.rig.joint_corrections.applied(readings);
+    values.iter_mut().zip(deviation).for_each(|(value, deviation)| *value += deviation);
+    values
 }
 
 /// A twist of the base frame as the camera sees it: `Ad(T^-1)`.
@@ -209,9 +176,9 @@ mod tests {
             .extend((0..6).flat_map(|j| [Parameter::GearSin(j), Parameter::GearCos(j), Parameter::Compliance(j)]));
         parameters.push(Parameter::TimeOffset);
         let mut model = Model::new(perturbed(&nominal, &Free::Auto, manufacture(), &mut rng));
-        model.time_offset_s = 0.01;
-        model.joints[1].gear_sin = 0.002;
-        model.joints[2].compliance = 0.004;
+        model.rig.joint_corrections.time_offset_s = 0.01;
+        model.rig.joint_corrections.joints[1].gear_sin = 0.002;
+        model.rig.joint_corrections.joints[2].compliance = 0.004;
         let step = 1e-6;
         for posture in 0..postures.len() {
             let deviation = [1e-3, -2e-3, 1e-3, 0.0, 2e-3, 1e-3];

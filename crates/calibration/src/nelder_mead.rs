@@ -110,7 +110,7 @@ pub fn calibrate_nelder_mead(
     let start = Model::new(nominal.clone());
     let motion = Motion::new(nominal, &data.postures)?;
     let mut parameters = options.free.candidates(nominal, motion.has_joints(), false)?;
-    if options.free == Free::Auto || options.free == Free::All {
+    if options.free.is_open() {
         parameters.retain(|parameter| parameter.moves_camera());
     }
     if let Some(&parameter) = parameters.iter().find(|parameter| !parameter.moves_camera()) {

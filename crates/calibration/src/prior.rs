@@ -65,7 +65,7 @@ pub(crate) fn sigmas(rig: &Rig, free: &Free, policy: PriorPolicy, parameters: &[
     let defaults = match policy {
         PriorPolicy::Never => return vec![None; parameters.len()],
         PriorPolicy::Always => true,
-        PriorPolicy::Auto => matches!(free, Free::Auto | Free::All),
+        PriorPolicy::Auto => free.is_open(),
     };
     let sigma = |&parameter: &Parameter| {
         stated_sigma(rig, parameter).or_else(|| defaults.then(|| default_sigma(rig, parameter)))

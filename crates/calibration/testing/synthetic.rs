@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera, Pixel, Point3};
 use skclam_kinematics::{Joint, Link, SerialChain};
-use skclam_rig::{Board, BoardPattern, Posture, PostureState, Prior, Rig};
+use skclam_rig::{Board, BoardPattern, JointCorrections, Posture, PostureState, Prior, Rig, fill_joint_rates};
 
 pub fn seeded(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
@@ -38,6 +38,7 @@ pub fn hp3j() -> Rig {
     Rig {
         name: "HP3J-like".to_owned(),
         robot: Some(SerialChain::new(joints).unwrap()),
+        joint_corrections: JointCorrections::default(),
         flange_from_color: Isometry3::new(Vector3::new(-0.06, 0.0, 0.04), Vector3::new(0.0, 0.0, -deg(90.0))),
         color: PinholeCamera::from_hfov(1920, 1080, deg(70.0)),
         depth: Some(DepthCamera {
@@ -88,7 +89,7 @@ pub fn perturbed(rig: &Rig, free: &Free, errors: Errors, rng: &mut ChaCha8Rng) -
 }
 
 pub fn joints(index: usize, values: &[f64]) -> Posture {
-    Posture { index: index as u64, timestamp_s: Some(index as f64), state: PostureState::Joints(values.to_vec()) }
+    Posture::new(index as u64, PostureState::Joints(values.to_vec())).at(Some(index as f64))
 }
 
 /// Random postures whose camera stands inside the cell, within 0.85 m of its middle and above the floor.
@@ -103,6 +104,7 @@ pub fn diverse_postures(rig: &Rig, count: usize, rng: &mut ChaCha8Rng) -> Vec<Po
             postures.push(posture);
         }
     }
+    fill_joint_rates(&mut postures);
     postures
 }
 

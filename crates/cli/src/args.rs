@@ -129,7 +129,7 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value = "default")]
     pub preset: PresetArg,
     /// Which parameters are free: auto (what the data can identify), angles (the paper's ten), all, or a list such as
-    /// "angles,mount" or "alpha_2,theta_offset_3,fx".
+    /// "angles,mount", "alpha_2,theta_offset_3,fx" or "auto,gears". Groups: arm, lengths, mount, intrinsics, focal, depth, gears, compliance.
     #[arg(long, value_name = "SET")]
     pub free: Option<String>,
     /// Seed of every random choice.

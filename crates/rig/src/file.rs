@@ -3,6 +3,7 @@
 //! The file speaks degrees and millimetres, and every key carries its unit; the rig speaks radians and metres.
 //! Unknown keys are refused by name. What is written can be read again and is the same rig to 1e-10 of a unit.
 
+use crate::corrections_table::CorrectionsTable;
 use crate::{Board, BoardPattern, Prior, Rig};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,8 @@ struct RigFile {
     name: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     robot: Option<RobotTable>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    joint_corrections: Option<CorrectionsTable>,
     mount: TransformTable,
     color: CameraTable,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -254,6 +257,9 @@ impl Reader<'_> {
 
     fn rig(&self, file: RigFile) -> Result<Rig, RigFileError> {
         let robot = file.robot.map(|table| self.robot(table)).transpose()?;
+        let joint_corrections = file.joint_corrections.unwrap_or_default();
+        let joint_corrections =
+            joint_corrections.corrections(robot.as_ref()).map_err(|(key, message)| self.value(&key, message))?;
         let flange_from_color = self.transform("mount", &file.mount)?;
         let (color, color_mask) = self.camera("color", file.color)?;
         let (depth, depth_mask) = match file.depth {
@@ -266,7 +272,19 @@ impl Reader<'_> {
         let board = file.board.map(|table| self.board(table)).transpose()?;
         let prior = file.prior.unwrap_or_default();
         self.prior(&prior)?;
-        Ok(Rig { name: file.name, robot, flange_from_color, color, depth, board, prior, color_mask, depth_mask })
+        let name = file.name;
+        Ok(Rig {
+            name,
+            robot,
+            joint_corrections,
+            flange_from_color,
+            color,
+            depth,
+            board,
+            prior,
+            color_mask,
+            depth_mask,
+        })
     }
 
     fn robot(&self, table: RobotTable) -> Result<SerialChain, RigFileError> {
@@ -491,6 +509,7 @@ fn file_of(rig: &Rig) -> RigFile {
     RigFile {
         name: rig.name.clone(),
         robot: rig.robot.as_ref().map(robot_of),
+        joint_corrections: CorrectionsTable::of(&rig.joint_corrections),
         mount: transform_of(&rig.flange_from_color),
         color: camera_of(&rig.color, rig.color_mask.clone()),
         depth: rig.depth.as_ref().map(|depth| {

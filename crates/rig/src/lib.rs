@@ -5,7 +5,9 @@
 
 mod board;
 mod builtin;
+mod corrections_table;
 mod file;
+mod joint_corrections;
 mod posture;
 mod prior;
 mod rig;
@@ -13,6 +15,7 @@ mod rig;
 pub use board::{Board, BoardPattern};
 pub use builtin::{builtin_names, builtin_rig};
 pub use file::RigFileError;
+pub use joint_corrections::{JointCorrection, JointCorrections, JointReading, fill_joint_rates, joint_readings};
 pub use posture::{Posture, PostureState};
 pub use prior::Prior;
 pub use rig::{Rig, RigError};

@@ -20,4 +20,18 @@ pub struct Posture {
     pub timestamp_s: Option<f64>,
     /// Joints or flange pose.
     pub state: PostureState,
+    /// How fast the joints moved, radians or metres a second; empty where it is not known. See [`crate::fill_joint_rates`].
+    pub joint_rates: Vec<f64>,
+}
+
+impl Posture {
+    /// Without a timestamp, at rest.
+    pub fn new(index: u64, state: PostureState) -> Self {
+        Posture { index, timestamp_s: None, state, joint_rates: Vec::new() }
+    }
+
+    /// The same at a time, seconds.
+    pub fn at(self, timestamp_s: Option<f64>) -> Self {
+        Posture { timestamp_s, ..self }
+    }
 }

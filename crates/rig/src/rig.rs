@@ -1,5 +1,6 @@
 //! The rig: robot, mount and cameras as one value.
 
+use crate::joint_corrections::{JointCorrections, joint_readings};
 use crate::{Board, Posture, PostureState, Prior};
 use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
 use skclam_kinematics::{KinematicsError, SerialChain};
@@ -11,6 +12,8 @@ pub struct Rig {
     pub name: String,
     /// The arm; `None` where only flange poses are known.
     pub robot: Option<SerialChain>,
+    /// What its joints do beside their encoders.
+    pub joint_corrections: JointCorrections,
     /// The mount: takes points from the colour camera to the flange.
     pub flange_from_color: Isometry3,
     /// The colour camera.
@@ -55,7 +58,13 @@ impl Rig {
             PostureState::FlangePose(base_from_flange) => Ok(*base_from_flange),
             PostureState::Joints(joints) => {
                 let robot = self.robot.as_ref().ok_or(RigError::NoRobot { index })?;
-                robot.base_from_flange(joints).map_err(|source| RigError::Kinematics { index, source })
+                let pose = if self.joint_corrections.is_none() {
+                    robot.base_from_flange(joints)
+                } else {
+                    joint_readings(robot, joints, &posture.joint_rates)
+                        .and_then(|readings| robot.base_from_flange(&self.joint_corrections.applied(&readings)))
+                };
+                pose.map_err(|source| RigError::Kinematics { index, source })
             }
         }
     }

@@ -8,7 +8,7 @@ use crate::{
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{DepthImage, Isometry3};
-use skclam_rig::{Posture, PostureState, Rig};
+use skclam_rig::{Posture, PostureState, Rig, joint_readings};
 
 /// How the true arm differs from the nominal one.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -131,7 +131,7 @@ impl Simulation {
         let postures = joint_values
             .into_iter()
             .zip(0u64..)
-            .map(|(values, index)| Posture { index, timestamp_s: None, state: PostureState::Joints(values) })
+            .map(|(values, index)| Posture::new(index, PostureState::Joints(values)))
             .collect();
         Ok(Simulation { config: config.clone(), nominal: nominal.clone(), truth, scene, body, postures, color, depth })
     }
@@ -178,7 +178,13 @@ impl Simulation {
             return Err(SimulationError::NoRobot);
         };
         let index = posture.index;
-        let true_joint_values = self.config.encoder_noise.apply(chain, commanded, index)?;
+        let noisy = self.config.encoder_noise.apply(chain, commanded, index)?;
+        let corrections = &self.truth.joint_corrections;
+        let true_joint_values = if corrections.is_none() {
+            noisy
+        } else {
+            corrections.applied(&joint_readings(chain, &noisy, &posture.joint_rates)?)
+        };
         let true_base_from_color = chain.base_from_flange(&true_joint_values)? * self.truth.flange_from_color;
         let body = self.body.model_at(&true_joint_values)?;
         let models = [&self.scene.model, &body];
@@ -253,6 +259,21 @@ mod tests {
         assert_eq!(capture.depth, again.depth);
         assert_ne!(capture.color, simulation.capture(6).unwrap().color);
         assert!(simulation.capture(73).is_err());
+    }
+
+    #[test]
+    fn gears_of_the_rig_turn_the_true_arm() {
+        let mut rig = small_rig();
+        let one = skclam_rig::JointCorrection { gear_sin: 2e-3, gear_cos: 1e-3, compliance: 1e-3 };
+        rig.joint_corrections.joints = vec![one; 6];
+        let simulation =
+            Simulation::new(&rig, &SimulationConfig { perturbation: Perturbation::None, ..config() }).unwrap();
+        let capture = simulation.capture(5).unwrap();
+        let expected = rig.base_from_color(&capture.posture).unwrap();
+        assert!((capture.true_base_from_color.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-12);
+        rig.joint_corrections = Default::default();
+        let without = rig.base_from_color(&capture.posture).unwrap();
+        assert!((without.translation.vector - expected.translation.vector).norm() > 1e-4);
     }
 
     #[test]

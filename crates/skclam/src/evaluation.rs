@@ -189,7 +189,7 @@ mod tests {
     use super::*;
     use skclam_geometry::PinholeCamera;
     use skclam_kinematics::{Joint, Link, ParameterId, ParameterKind};
-    use skclam_rig::Prior;
+    use skclam_rig::{JointCorrections, Prior};
 
     fn rig() -> Rig {
         let robot = SerialChain::new(vec![
@@ -201,6 +201,7 @@ mod tests {
         Rig {
             name: String::new(),
             robot: Some(robot),
+            joint_corrections: JointCorrections::default(),
             flange_from_color: Isometry3::translation(0.05, 0.0, 0.1),
             color: PinholeCamera::from_hfov(640, 480, 1.0),
             depth: None,
@@ -213,7 +214,7 @@ mod tests {
 
     fn postures() -> Vec<Posture> {
         let state = |i: u64| PostureState::Joints(vec![0.3 * i as f64, 0.5 - 0.1 * i as f64, 0.2 * i as f64]);
-        (0..6).map(|i| Posture { index: i, timestamp_s: None, state: state(i) }).collect()
+        (0..6).map(|i| Posture::new(i, state(i))).collect()
     }
 
     #[test]

@@ -7,7 +7,7 @@ use skclam_kinematics::{
     Isometry3, KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
     line_diff, static_transform_line, write_urdf,
 };
-use skclam_rig::Rig;
+use skclam_rig::{JointCorrection, JointCorrections, Rig};
 
 /// A robot description into which the calibrated chain is written.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -109,6 +109,29 @@ struct ExportedJson {
     parameters: Vec<ExportedParameter>,
     flange_from_color_nominal: Option<ExportedPose>,
     flange_from_color: ExportedPose,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    joint_corrections: Option<ExportedCorrections>,
+}
+
+/// What the joints do beside their encoders, one number a joint.
+#[derive(Debug, Serialize)]
+struct ExportedCorrections {
+    gear_sin_deg: Vec<f64>,
+    gear_cos_deg: Vec<f64>,
+    compliance_deg_per_m: Vec<f64>,
+    time_offset_s: f64,
+}
+
+impl ExportedCorrections {
+    fn new(corrections: &JointCorrections) -> Self {
+        let list = |of: fn(&JointCorrection) -> f64| corrections.joints.iter().map(|j| of(j).to_degrees()).collect();
+        ExportedCorrections {
+            gear_sin_deg: list(|joint| joint.gear_sin),
+            gear_cos_deg: list(|joint| joint.gear_cos),
+            compliance_deg_per_m: list(|joint| joint.compliance),
+            time_offset_s: corrections.time_offset_s,
+        }
+    }
 }
 
 /// Writes a calibrated rig into a folder that the caller publishes. `nominal`: the rig that the calibration began with;
@@ -134,6 +157,11 @@ pub fn export(
     };
     let mut files = Vec::new();
     let mut left_out = Vec::new();
+    let corrected = !calibrated.joint_corrections.is_none();
+    if corrected {
+        let reason = "gear errors, compliance and time offset: only parameters.json has a place for them; `compensate` applies gears and compliance";
+        left_out.push(reason.to_owned());
+    }
     let mut write = |name: &str, text: &str| -> Result<(), ExportError> {
         staged.write(name, text)?;
         files.push(name.to_owned());
@@ -145,6 +173,7 @@ pub fn export(
         parameters: nominal_arm.parameter_ids().into_iter().map(|id| parameter(&nominal_arm, arm, id)).collect(),
         flange_from_color_nominal: nominal.map(|rig| (&rig.flange_from_color).into()),
         flange_from_color: (&calibrated.flange_from_color).into(),
+        joint_corrections: corrected.then(|| ExportedCorrections::new(&calibrated.joint_corrections)),
     };
     let json =
         serde_json::to_string_pretty(&json).map_err(|error| KinematicsError::Export { problem: error.to_string() })?;

@@ -3,7 +3,7 @@
 use crate::args::Cli;
 use anyhow::{Context, Result};
 use clap::{Args, ValueHint};
-use skclam::compensation::{CompensationOptions, read_targets, write_compensated};
+use skclam::compensation::{CompensationOptions, TrueArm, read_targets, write_compensated};
 use skclam::kinematics::SerialChain;
 use skclam::output::StagedFolder;
 use skclam::rig::Rig;
@@ -28,9 +28,13 @@ pub struct CompensateArgs {
 
 /// Turns targets into what to command.
 pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
-    let (nominal, calibrated) = (arm(&args.nominal)?, arm(&args.calibrated)?);
+    let nominal = arm(&args.nominal)?;
+    let rig = Rig::read(&args.calibrated)?;
+    let chain = rig.robot.as_ref().with_context(|| no_robot(&args.calibrated))?;
+    let calibrated = TrueArm { chain, joint_corrections: &rig.joint_corrections };
+    let options = CompensationOptions::default();
     let table = read_targets(&args.targets, &nominal)?;
-    let answers = table.compensate(&nominal, &calibrated, &CompensationOptions::default())?;
+    let answers = table.compensate(&nominal, calibrated, &options)?;
     write_whole(&args.out, &write_compensated(&table, &answers, &nominal))?;
     // How far the uncorrected commands would have been off, by the calibrated arm.
     let mut misses = Vec::new();
@@ -55,7 +59,11 @@ pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
 }
 
 fn arm(path: &Path) -> Result<SerialChain> {
-    Rig::read(path)?.robot.with_context(|| format!("{}: the rig has no [robot]", path.display()))
+    Rig::read(path)?.robot.with_context(|| no_robot(path))
+}
+
+fn no_robot(path: &Path) -> String {
+    format!("{}: the rig has no [robot]", path.display())
 }
 
 /// A single file, whole or not at all.

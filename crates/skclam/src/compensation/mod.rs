@@ -15,6 +15,7 @@ use skclam_kinematics::{
     Isometry3, JointKind, JointLimits, KinematicsError, RefinementOptions, SerialChain, Termination, nearby,
     refine_inverse_kinematics, spherical_wrist_solutions,
 };
+use skclam_rig::{JointCorrections, joint_readings};
 
 /// Options of a compensation.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -31,10 +32,36 @@ pub struct Compensated {
     pub base_from_flange: Isometry3,
     /// Joints that reach it on the nominal arm, radians or metres.
     pub nominal_joints: Vec<f64>,
-    /// Joints that reach it on the calibrated arm: to be commanded.
+    /// What the encoders must say for the calibrated arm to be there: to be commanded.
     pub joints: Vec<f64>,
     /// Pose to be commanded where the controller takes poses and thinks the arm nominal.
     pub commanded_pose: Isometry3,
+}
+
+/// The arm as it is: its chain, and what its joints do beside their encoders.
+#[derive(Debug, Clone, Copy)]
+pub struct TrueArm<'a> {
+    /// The calibrated chain.
+    pub chain: &'a SerialChain,
+    /// Corrections of its joints; the time offset does not matter to an arm at rest.
+    pub joint_corrections: &'a JointCorrections,
+}
+
+impl<'a> From<&'a SerialChain> for TrueArm<'a> {
+    fn from(chain: &'a SerialChain) -> Self {
+        static NONE: JointCorrections = JointCorrections { joints: Vec::new(), time_offset_s: 0.0 };
+        TrueArm { chain, joint_corrections: &NONE }
+    }
+}
+
+impl TrueArm<'_> {
+    /// Where the flange comes to rest for commanded joint values.
+    ///
+    /// # Errors
+    /// What the arm refuses of the joint values.
+    pub fn base_from_flange(&self, commanded: &[f64]) -> Result<Isometry3, KinematicsError> {
+        self.chain.base_from_flange(&self.joint_corrections.applied(&joint_readings(self.chain, commanded, &[])?))
+    }
 }
 
 /// Why there is nothing to command for a target.
@@ -71,23 +98,25 @@ pub enum TargetProblem {
 #[derive(Debug, Clone)]
 pub struct Compensator<'a> {
     nominal: &'a SerialChain,
-    calibrated: &'a SerialChain,
+    calibrated: TrueArm<'a>,
     options: &'a CompensationOptions,
     last: Option<Vec<f64>>,
 }
 
 impl<'a> Compensator<'a> {
-    /// For an arm by its nominal and its calibrated chain.
+    /// For an arm by its nominal chain and what it is by its calibration.
     ///
     /// # Errors
     /// [`KinematicsError::JointCount`] if they differ in the number of joints.
     pub fn new(
         nominal: &'a SerialChain,
-        calibrated: &'a SerialChain,
+        calibrated: impl Into<TrueArm<'a>>,
         options: &'a CompensationOptions,
     ) -> Result<Self, KinematicsError> {
-        if nominal.joint_count() != calibrated.joint_count() {
-            return Err(KinematicsError::JointCount { need: nominal.joint_count(), got: calibrated.joint_count() });
+        let calibrated = calibrated.into();
+        let (need, got) = (nominal.joint_count(), calibrated.chain.joint_count());
+        if need != got {
+            return Err(KinematicsError::JointCount { need, got });
         }
         Ok(Compensator { nominal, calibrated, options, last: None })
     }
@@ -121,6 +150,7 @@ impl<'a> Compensator<'a> {
     fn reason(&self, joints: &[f64], termination: Termination) -> String {
         let held: Vec<&str> = self
             .calibrated
+            .chain
             .joints()
             .iter()
             .zip(joints)
@@ -141,7 +171,7 @@ impl<'a> Compensator<'a> {
         let joint_limits =
             if self.nominal.admits(&nominal_joints) { JointLimits::Respected } else { JointLimits::Ignored };
         let options = RefinementOptions { joint_limits, ..self.options.refinement.clone() };
-        let found = refine_inverse_kinematics(self.calibrated, &base_from_flange, &nominal_joints, &options)?;
+        let found = refine_inverse_kinematics(self.calibrated.chain, &base_from_flange, &nominal_joints, &options)?;
         if found.termination != Termination::Converged {
             return Err(TargetProblem::CalibratedOutOfReach {
                 reason: self.reason(&found.joint_values, found.termination),
@@ -149,9 +179,11 @@ impl<'a> Compensator<'a> {
                 missing_deg: found.rotation_error.to_degrees(),
             });
         }
-        let commanded_pose = self.nominal.base_from_flange(&found.joint_values)?;
+        let TrueArm { chain, joint_corrections } = self.calibrated;
+        let joints = joint_corrections.encoder_values(chain, &found.joint_values)?;
+        let commanded_pose = self.nominal.base_from_flange(&joints)?;
         self.last = Some(nominal_joints.clone());
-        Ok(Compensated { base_from_flange, nominal_joints, joints: found.joint_values, commanded_pose })
+        Ok(Compensated { base_from_flange, nominal_joints, joints, commanded_pose })
     }
 }
 
@@ -258,6 +290,7 @@ pub fn miss(wanted: &Isometry3, reached: &Isometry3) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use skclam_rig::JointCorrection;
     use skclam_rig::builtin_rig;
     use skclam_simulation::{PerturbationSigmas, perturb_random};
 
@@ -342,6 +375,22 @@ mod tests {
         }
         let (_, exact) = errors("hp3j", true, 0.0);
         assert!(exact < 1e-9, "{exact}");
+    }
+
+    #[test]
+    fn gears_and_bending_are_compensated_too() {
+        let (nominal, calibrated, _) = arms("hp3j", 0.0);
+        let one = JointCorrection { gear_sin: 2e-3, gear_cos: -1e-3, compliance: 3e-3 };
+        let joint_corrections = JointCorrections { joints: vec![one; 6], time_offset_s: 0.0 };
+        let truth = TrueArm { chain: &calibrated, joint_corrections: &joint_corrections };
+        let options = CompensationOptions::default();
+        let mut compensator = Compensator::new(&nominal, truth, &options).unwrap();
+        for joints in postures(&nominal, 20) {
+            let answer = compensator.joints(&joints).unwrap();
+            let reached = truth.base_from_flange(&answer.joints).unwrap();
+            assert!(miss(&answer.base_from_flange, &reached).0 < 1e-9);
+            assert!(miss(&reached, &calibrated.base_from_flange(&answer.joints).unwrap()).0 > 1e-4);
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! qw` of the flange in the base, or both: then the pose counts and the joints choose the branch. Other columns are
 //! handed on. Out: the other columns, the joints to command in the units that came in, the pose to command.
 
-use super::{Compensated, CompensationOptions, Compensator, TargetProblem};
+use super::{Compensated, CompensationOptions, Compensator, TargetProblem, TrueArm};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use skclam_kinematics::{Isometry3, JointKind, KinematicsError, SerialChain};
 use std::path::{Path, PathBuf};
@@ -202,11 +202,11 @@ impl TargetTable {
     ///
     /// # Errors
     /// [`CompensationError::Target`] with the line of the first one for which there is nothing to command.
-    pub fn compensate(
+    pub fn compensate<'a>(
         &self,
-        nominal: &SerialChain,
-        calibrated: &SerialChain,
-        options: &CompensationOptions,
+        nominal: &'a SerialChain,
+        calibrated: impl Into<TrueArm<'a>>,
+        options: &'a CompensationOptions,
     ) -> Result<Vec<Compensated>, CompensationError> {
         let mut compensator = Compensator::new(nominal, calibrated, options)?;
         self.targets

@@ -71,6 +71,7 @@ pub fn read_postures(path: &Path) -> Result<Vec<PostureRecord>, DatasetError> {
         }
         records.push(record);
     }
+    skclam_rig::fill_joint_rates(records.iter_mut().map(|record| &mut record.posture));
     Ok(records)
 }
 
@@ -197,7 +198,7 @@ impl Table<'_> {
             return Err(self.error(line, "no colour image is named"));
         }
         let depth = columns.depth.map(field).filter(|name| !name.is_empty()).map(PathBuf::from);
-        Ok(PostureRecord { posture: Posture { index, timestamp_s, state }, color: PathBuf::from(color), depth })
+        Ok(PostureRecord { posture: Posture::new(index, state).at(timestamp_s), color: PathBuf::from(color), depth })
     }
 
     fn pose(&self, [x, y, z, qx, qy, qz, qw]: [f64; 7], line: usize) -> Result<Isometry3, DatasetError> {

@@ -221,7 +221,7 @@ mod tests {
         assert!(body > 500);
         let depth = DepthImage::new(160, 120, seen.clone()).unwrap();
         for turn in [0.0, 1.0, -2.5] {
-            let posture = Posture { index: 0, timestamp_s: None, state: PostureState::Joints(vec![turn]) };
+            let posture = Posture::new(0, PostureState::Joints(vec![turn]));
             let kept = filter.apply(&depth, &camera, &rig, &posture).unwrap();
             let as_wished =
                 kept.as_slice().iter().zip(&seen).all(|(kept, seen)| *kept == if *seen < 0.9 { 0.0 } else { *seen });

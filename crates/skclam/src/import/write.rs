@@ -181,7 +181,7 @@ pub(super) fn record(
         _ => PostureState::Joints(values.clone()),
     };
     PostureRecord {
-        posture: Posture { index: index as u64, timestamp_s: Some(candidate.color.stamp as f64 * 1e-9), state },
+        posture: Posture::new(index as u64, state).at(Some(candidate.color.stamp as f64 * 1e-9)),
         color: written.color.get(&candidate.color.place).cloned().unwrap_or_default(),
         depth: candidate.depth.and_then(|image| written.depth.get(&image.place).cloned()),
     }

@@ -148,7 +148,7 @@ fn spread_postures(robot: &SerialChain, recorded: &[Posture], count: usize) -> V
             .iter()
             .enumerate()
             .map(|(joint, [low, high])| low + (high - low) * radical_inverse(index as u64 + 1, prime(joint)));
-        Posture { index: index as u64, timestamp_s: None, state: PostureState::Joints(joints.collect()) }
+        Posture::new(index as u64, PostureState::Joints(joints.collect()))
     };
     (0..count).map(posture).collect()
 }

@@ -13,7 +13,7 @@ use crate::report_data::{ReportData, sample_map};
 use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
 use crate::trajectory::{StampedPose, trajectory_text};
 use image::GrayImage;
-use skclam_calibration::{Calibration, Parameter, Warning};
+use skclam_calibration::{Calibration, Warning};
 use skclam_features::MaskOutcome;
 use skclam_geometry::Isometry3;
 use skclam_mapping::{PointCloud, write_cloud_ply};
@@ -161,7 +161,6 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         map: None,
         warnings: {
             told.extend(warnings(&calibration, pairs.len()));
-            told.extend(not_in_the_rig(&calibration));
             if !calibration.warnings.iter().any(|warning| matches!(warning, Warning::NoBaseline { .. })) {
                 told.extend(identical_postures(dataset, &images, &pairs));
             }
@@ -187,26 +186,6 @@ fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
         texts.push(format!("{few} of {pairs} pairs share hardly any matches; see \"pairs\" in summary.json"));
     }
     texts
-}
-
-/// Estimated corrections that `rig.toml` has no place for: trajectory and map are made without them.
-fn not_in_the_rig(calibration: &Calibration) -> Option<String> {
-    let lost: Vec<String> = calibration
-        .parameters
-        .iter()
-        .map(|estimate| estimate.parameter)
-        .filter(|parameter| match parameter {
-            Parameter::Chain(_) | Parameter::Mount(_) | Parameter::Intrinsic(_) => false,
-            Parameter::DepthScale | Parameter::DepthOffset => false,
-            Parameter::TimeOffset => true,
-            Parameter::GearSin(_) | Parameter::GearCos(_) | Parameter::Compliance(_) => true,
-        })
-        .map(|parameter| parameter.to_string())
-        .collect();
-    let names = lost.join(", ");
-    (!lost.is_empty()).then(|| {
-        format!("{names}: estimated, but rig.toml has no place for it; trajectory and map are made without it")
-    })
 }
 
 /// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm (the

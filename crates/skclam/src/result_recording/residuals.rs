@@ -114,7 +114,7 @@ mod tests {
         let matched =
             |point: Point3| PairMatch { in_a: see(0, &point), in_b: see(1, &point), sigma_px: 1.0, distance: 0 };
         let mut pair = PairMatches { a: 0, b: 1, matches: points.map(matched).collect() };
-        let posture = skclam_rig::Posture { index: 0, timestamp_s: None, state: PostureState::Joints(vec![]) };
+        let posture = skclam_rig::Posture::new(0, PostureState::Joints(vec![]));
         let data = |pair: &PairMatches| Correspondences {
             postures: vec![posture.clone(), posture.clone()],
             pairs: vec![pair.clone()],
