@@ -84,7 +84,9 @@ fn a_tum_folder_becomes_a_data_set_that_calibrates() {
     let survey = json(&succeed(&["inspect", utf8(&recording), "--json", "--quiet"]));
     let topics = survey["topics"].as_array().unwrap();
     assert_eq!(topics.iter().map(|topic| topic["messages"].as_u64().unwrap()).collect::<Vec<_>>(), [36, 36]);
-    assert!(succeed(&["inspect", utf8(&recording), "--quiet"]).contains("72 messages"));
+    let shown = succeed(&["inspect", utf8(&recording), "--quiet"]);
+    assert!(shown.contains("72 messages"), "{shown}");
+    assert!(shown.lines().all(|line| line.chars().count() <= 80), "{shown}");
 
     let (rig, log) = (copy.path().join("rig.toml"), recording.join("joints.csv"));
     let arguments = ["import", utf8(&recording), "--rig", utf8(&rig), "--joints", utf8(&log), "--out", utf8(&out)];

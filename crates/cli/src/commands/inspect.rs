@@ -5,10 +5,11 @@ use crate::progress::Screen;
 use crate::screen;
 use anyhow::Result;
 use clap::{Args, ValueHint};
+use comfy_table::Table;
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::inspection::{ExpectedSigmas, Inspection, InspectionOptions, inspect as judge};
-use skclam::recordings::{Recording, Survey, survey};
+use skclam::recordings::{Recording, Survey, TopicSurvey, survey};
 use std::path::PathBuf;
 
 /// Arguments of `inspect`.
@@ -38,31 +39,24 @@ pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
         }
         return Ok(());
     }
-    let survey = survey(&mut Recording::open(&args.path)?)?;
+    let mut survey = survey(&mut Recording::open(&args.path)?)?;
     if cli.json {
         println!("{}", serde_json::to_string_pretty(&survey)?);
     } else {
+        for topic in &mut survey.topics {
+            for text in [&mut topic.topic, &mut topic.type_name, &mut topic.detail] {
+                *text = harmless(text);
+            }
+        }
         show_recording(cli, &survey);
     }
     Ok(())
 }
 
 fn show_recording(cli: &Cli, survey: &Survey) {
-    let mut table = screen::table(&["topic", "type", "messages", "MB", "Hz", "largest gap s", "clock jumps"]);
+    println!("{}", topics(survey));
     for topic in &survey.topics {
-        table.add_row([
-            topic.topic.clone(),
-            topic.type_name.clone(),
-            topic.messages.to_string(),
-            format!("{:.1}", topic.bytes as f64 * 1e-6),
-            format!("{:.1}", topic.rate_hz),
-            format!("{:.3}", topic.largest_gap_s),
-            topic.clock_jumps.to_string(),
-        ]);
-    }
-    println!("{table}");
-    for topic in survey.topics.iter().filter(|topic| !topic.detail.is_empty()) {
-        println!("{}: {}", topic.topic, topic.detail);
+        println!("{}", described(topic));
     }
     println!("{} messages in {:.3} s", survey.messages, survey.duration_s);
     let mut warnings = Vec::new();
@@ -84,6 +78,78 @@ fn show_recording(cli: &Cli, survey: &Survey) {
         }
     }
     screen::warn(cli.quiet, &warnings);
+}
+
+/// Text of a file without what a terminal would obey.
+fn harmless(text: &str) -> String {
+    let shown = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
+    text.chars().map(shown).collect()
+}
+
+/// The width that every terminal has.
+const COLUMNS: usize = 80;
+
+/// A row a topic, at most [`COLUMNS`] wide: long names are broken behind a slash.
+fn topics(survey: &Survey) -> Table {
+    let rows: Vec<[String; 5]> = survey.topics.iter().map(figures).collect();
+    let header = ["messages", "MB", "Hz", "gap s", "jumps"];
+    let numbers: usize = (0..header.len())
+        .map(|column| rows.iter().map(|row| row[column].len()).max().unwrap_or(0).max(header[column].len()))
+        .sum();
+    // Two borders with a blank each, and three blanks between two columns.
+    let left = COLUMNS.saturating_sub(4 + 3 * header.len() + numbers).max("topic".len());
+    let mut table = screen::table(&["topic", header[0], header[1], header[2], header[3], header[4]]);
+    // Characters of double width are broken by the table.
+    table.set_width(COLUMNS as u16);
+    for (topic, row) in survey.topics.iter().zip(rows) {
+        table.add_row([vec![broken(&topic.topic, left)], row.to_vec()].concat());
+    }
+    table
+}
+
+fn figures(topic: &TopicSurvey) -> [String; 5] {
+    // A damaged clock has gaps of years, and rates of nothing or of a billion.
+    let short = |value: f64, digits: usize| {
+        let plain = format!("{value:.digits$}");
+        if plain.len() > 9 { format!("{value:.1e}") } else { plain }
+    };
+    [
+        topic.messages.to_string(),
+        short(topic.bytes as f64 * 1e-6, 1),
+        short(topic.rate_hz, 1),
+        short(topic.largest_gap_s, 3),
+        topic.clock_jumps.to_string(),
+    ]
+}
+
+/// A name in lines of at most so many characters, broken behind slashes where there are any.
+fn broken(name: &str, most: usize) -> String {
+    let mut lines = vec![String::new()];
+    for part in name.split_inclusive('/') {
+        for at in chunks(part, most) {
+            let long = lines.last().is_some_and(|line| line.chars().count() + at.chars().count() > most);
+            match lines.last_mut() {
+                Some(line) if !long => line.push_str(&at),
+                _ => lines.push(at),
+            }
+        }
+    }
+    lines.join("\n")
+}
+
+fn chunks(text: &str, most: usize) -> Vec<String> {
+    text.chars().collect::<Vec<_>>().chunks(most.max(1)).map(|chunk| chunk.iter().collect()).collect()
+}
+
+/// Type and content of a topic; on two lines where one is too long.
+fn described(topic: &TopicSurvey) -> String {
+    let TopicSurvey { topic, type_name, detail, .. } = topic;
+    let whole = format!("{topic}: {type_name}; {detail}");
+    match (detail.is_empty(), whole.chars().count() <= COLUMNS) {
+        (true, _) => format!("{topic}: {type_name}"),
+        (false, true) => whole,
+        (false, false) => format!("{topic}: {type_name}\n    {detail}"),
+    }
 }
 
 fn show_dataset(cli: &Cli, inspection: &Inspection) {
@@ -154,4 +220,63 @@ fn show_expected(expected: &ExpectedSigmas) {
         "predicted for {} sights with {} px{depth} of noise; {} of {} combinations can be told",
         expected.sights, expected.pixel_sigma, expected.rank, expected.free
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use skclam::recordings::RecordingFormat;
+
+    fn topic(name: &str, messages: u64, gap_s: f64) -> TopicSurvey {
+        TopicSurvey {
+            topic: name.to_owned(),
+            type_name: "sensor_msgs/msg/CompressedImage".to_owned(),
+            read: true,
+            messages,
+            bytes: 1_000_000 * messages,
+            rate_hz: 30.0,
+            largest_gap_s: gap_s,
+            largest_gap_at_s: 0.0,
+            clock_jumps: messages / 2,
+            first_jumps: vec![],
+            stamp_minus_log_s: 0.0,
+            detail: "rgb8 1920 x 1080".to_owned(),
+        }
+    }
+
+    fn survey_of(topics: Vec<TopicSurvey>) -> Survey {
+        Survey { format: RecordingFormat::Mcap, messages: 0, duration_s: 0.0, topics }
+    }
+
+    fn widest(table: &Table) -> usize {
+        table.to_string().lines().map(|line| line.chars().count()).max().unwrap()
+    }
+
+    #[test]
+    fn tables_fit_eighty_columns_and_names_stay_whole_where_they_can() {
+        let long = "/device_0/sensor_1/Color_0/option/Auto_Exposure_Priority/description/very/long";
+        let usual = survey_of(vec![topic("/camera/color/image_raw/compressed", 900, 0.033), topic("/tf", 3, 2.0)]);
+        assert!(topics(&usual).to_string().contains("/camera/color/image_raw/compressed"));
+        let worst = survey_of(vec![
+            topic(long, u64::MAX / 1_000_000, 1e300),
+            topic(&"x".repeat(300), 1_000_000_000, f64::MAX),
+            topic("/\u{e9}\u{e9}/\u{e9}", 0, 0.0),
+            topic("", 0, 0.0),
+        ]);
+        for survey in [usual, worst, survey_of(vec![])] {
+            assert!(widest(&topics(&survey)) <= COLUMNS, "{}", topics(&survey));
+        }
+        assert_eq!(harmless("/\u{1b}[2J\u{e9}\n"), "/\\u{1b}[2J\u{e9}\\n");
+        assert_eq!(broken(long, 30).lines().next().unwrap(), "/device_0/sensor_1/Color_0/");
+        assert_eq!(broken(long, 30).replace('\n', ""), long);
+    }
+
+    #[test]
+    fn types_stand_beside_what_is_known_of_a_topic() {
+        let described = described(&topic("/camera/color/image_raw/compressed", 1, 0.0));
+        assert_eq!(
+            described,
+            "/camera/color/image_raw/compressed: sensor_msgs/msg/CompressedImage\n    rgb8 1920 x 1080"
+        );
+    }
 }

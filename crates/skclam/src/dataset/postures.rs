@@ -20,8 +20,8 @@ pub struct PostureRecord {
 
 /// The most postures that are believed; a recording of weeks has fewer.
 const MAX_POSTURES: usize = 1_000_000;
-/// Numbers of the table are smaller, in whatever unit: seconds since 1970 are 1e9.
-const LARGEST_NUMBER: f64 = 1e12;
+/// Values of joints and poses are smaller, radians or metres (millimetres for poses).
+const LARGEST_VALUE: f64 = 1e9;
 /// The most joints that are believed.
 const MAX_JOINTS: usize = 64;
 
@@ -160,14 +160,21 @@ impl Table<'_> {
         let number = |column: usize| {
             let text = field(column);
             match text.parse::<f64>() {
-                // What is larger is infinite in another unit, and no angle, length or time.
-                Ok(value) if value.abs() < LARGEST_NUMBER => Ok(value),
+                Ok(value) if value.is_finite() => Ok(value),
                 _ => {
                     let name = header.get(column).unwrap_or_default();
-                    let problem = format!("{name} is \"{text}\"; a finite number below {LARGEST_NUMBER:e} is needed");
-                    Err(self.error(line, problem))
+                    Err(self.error(line, format!("{name} is \"{text}\"; a finite number is needed")))
                 }
             }
+        };
+        // In radians and metres: what is larger is no posture, and infinite in another unit.
+        let scaled = |column: usize, unit: f64| {
+            let value = number(column)? * unit;
+            if value.abs() < LARGEST_VALUE {
+                return Ok(value);
+            }
+            let name = header.get(column).unwrap_or_default();
+            Err(self.error(line, format!("{name} is {}; no joint turns or moves so far", field(column))))
         };
         let index_text = field(columns.index);
         let index = index_text
@@ -178,17 +185,13 @@ impl Table<'_> {
             _ => None,
         };
         let state = match &columns.state {
-            StateColumns::Joints(joints) => {
-                PostureState::Joints(joints.iter().map(|&(column, unit)| Ok(number(column)? * unit)).collect::<Result<
-                    _,
-                    DatasetError,
-                >>(
-                )?)
-            }
+            StateColumns::Joints(joints) => PostureState::Joints(
+                joints.iter().map(|&(column, unit)| scaled(column, unit)).collect::<Result<_, DatasetError>>()?,
+            ),
             StateColumns::Pose(pose) => {
                 let mut values = [0.0; 7];
                 for (value, &column) in values.iter_mut().zip(pose) {
-                    *value = number(column)?;
+                    *value = scaled(column, 1.0)?;
                 }
                 PostureState::FlangePose(self.pose(values, line)?)
             }

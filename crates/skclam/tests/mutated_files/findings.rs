@@ -34,9 +34,14 @@ fn lengths_that_vanish_in_the_rigs_file_are_refused() {
 fn angles_that_overflow_in_degrees_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("postures.csv");
-    std::fs::write(&path, "index,q1_rad,color\n0,0.1,a.png\n1,1e308,b.png\n").unwrap();
-    let message = read_postures(&path).unwrap_err().to_string();
-    assert!(message.contains("line 3") && message.contains("q1_rad is \"1e308\""), "{message}");
+    for angle in ["1e308", "-214748364800"] {
+        std::fs::write(&path, format!("index,q1_rad,color\n0,0.1,a.png\n1,{angle},b.png\n")).unwrap();
+        let message = read_postures(&path).unwrap_err().to_string();
+        assert!(message.contains("line 3") && message.contains(&format!("q1_rad is {angle}")), "{message}");
+    }
+    // Nanoseconds in the place of seconds are no posture's affair.
+    std::fs::write(&path, "index,timestamp_s,q1_rad,color\n0,1.7e18,0.1,a.png\n").unwrap();
+    assert_eq!(read_postures(&path).unwrap().len(), 1);
 }
 
 /// 1e308 is finite, and infinite in a setting of single precision: what was written of it was refused.
