@@ -42,7 +42,7 @@ pub fn rig(path: &Path) -> bool {
     let Ok(rig) = Rig::read(path) else { return false };
     if let Some(robot) = &rig.robot {
         let state = PostureState::Joints(vec![0.3; robot.joint_count()]);
-        let _ = rig.base_from_color(&Posture { index: 0, timestamp_s: None, state });
+        let _ = rig.base_from_color(&Posture::new(0, state));
     }
     let text = rig.to_toml().unwrap();
     Rig::from_toml(&text, "again").unwrap();
