@@ -53,7 +53,7 @@ impl CorrectionsTable {
             }
             for (value, joint) in list.iter().zip(joints) {
                 // A degree is far beyond any gear; radians where degrees are meant are small and pass.
-                if !(value.abs() <= 5.0) {
+                if !(-5.0..=5.0).contains(value) {
                     return Err((key(name), format!("{value} given; a number from -5 to 5 is needed")));
                 }
                 if *value != 0.0 && joint.kind == JointKind::Prismatic {
@@ -62,7 +62,7 @@ impl CorrectionsTable {
                 }
             }
         }
-        if !(self.time_offset_s.abs() <= 10.0) {
+        if !(-10.0..=10.0).contains(&self.time_offset_s) {
             let reason = format!("{} given; a number of seconds from -10 to 10 is needed", self.time_offset_s);
             return Err((key("time_offset_s"), reason));
         }

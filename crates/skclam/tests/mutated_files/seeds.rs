@@ -8,7 +8,9 @@ use skclam::pipeline::Config;
 use skclam::rig::{builtin_names, builtin_rig};
 use skclam_damage::Seed;
 
-pub const RIG_PIECES: [&str; 22] = [
+pub const RIG_PIECES: [&str; 24] = [
+    "[joint_corrections]\n",
+    "gear_cos_deg = [0, 1, 6]\n",
     "[robot]\n",
     "[[robot.joint]]\n",
     "[mount]\n",
@@ -154,6 +156,10 @@ rows = 8
 square_mm = 15
 dictionary = "DICT_4X4_50"
 marker_mm = 11
+[joint_corrections]
+gear_sin_deg = [0.01, -0.02, 0.0]
+compliance_deg_per_m = [0.0, 0.05, 0.0]
+time_offset_s = -0.004
 [prior]
 angle_deg = 0.5
 "#;
