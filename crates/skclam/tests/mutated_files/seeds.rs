@@ -157,8 +157,8 @@ square_mm = 15
 dictionary = "DICT_4X4_50"
 marker_mm = 11
 [joint_corrections]
-gear_sin_deg = [0.01, -0.02, 0.0]
-compliance_deg_per_m = [0.0, 0.05, 0.0]
+gear_sin_deg = [0.01, 0.0, 0.0]
+compliance_deg_per_m = [-0.05, 0.0, 0.0]
 time_offset_s = -0.004
 [prior]
 angle_deg = 0.5
