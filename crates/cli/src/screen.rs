@@ -15,8 +15,13 @@ pub fn table(header: &[&str]) -> Table {
     table
 }
 
-/// Warnings go to standard error, so that a script that reads the results is not disturbed.
+/// Warnings of a run go to standard error, so that a script that reads the results is not disturbed.
 pub fn warn(quiet: bool, warnings: &[String]) {
+    warn_of(quiet, warnings, "summary.json");
+}
+
+/// Warnings, of which the last ones are left to the file that holds all of them.
+pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
     const SHOWN: usize = 12;
     if quiet {
         return;
@@ -25,6 +30,6 @@ pub fn warn(quiet: bool, warnings: &[String]) {
         eprintln!("warning: {warning}");
     }
     if warnings.len() > SHOWN {
-        eprintln!("warning: ... and {} more; all of them stand in summary.json", warnings.len() - SHOWN);
+        eprintln!("warning: ... and {} more; all of them stand in {stand_in}", warnings.len() - SHOWN);
     }
 }

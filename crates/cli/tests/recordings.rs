@@ -262,6 +262,14 @@ fn targets_come_back_as_commands() {
         assert!((reached.to_homogeneous() - target.to_homogeneous()).norm() < 1e-7, "{line}");
     }
 
+    // One target that cannot be reached does not hold up the others.
+    fs::write(&targets, "x_mm,y_mm,z_mm,qx,qy,qz,qw\n300,0,300,0,0,0,1\n9000,0,0,0,0,0,1\n").unwrap();
+    let summary = json(&succeed(&of_truth));
+    assert_eq!((&summary["compensated"], &summary["without_command"][0]["line"]), (&1.into(), &3.into()));
+    let commands = fs::read_to_string(&out).unwrap();
+    let lines: Vec<&str> = commands.lines().collect();
+    assert!(lines[1].ends_with(",ok") && lines[2].contains(",,,the nominal arm does not reach"), "{commands}");
+
     fs::remove_file(&out).unwrap();
     for (table, expected) in [
         ("q1_deg,q2_deg\n1,2\n", "q3_deg"),

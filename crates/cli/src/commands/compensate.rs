@@ -1,7 +1,8 @@
 //! `skclam compensate`.
 
 use crate::args::Cli;
-use anyhow::{Context, Result};
+use crate::screen;
+use anyhow::{Context, Result, bail};
 use clap::{Args, ValueHint};
 use skclam::compensation::{CompensationOptions, TrueArm, read_targets, write_compensated};
 use skclam::kinematics::SerialChain;
@@ -35,22 +36,42 @@ pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
     let options = CompensationOptions::default();
     let table = read_targets(&args.targets, &nominal)?;
     let answers = table.compensate(&nominal, calibrated, &options)?;
-    write_whole(&args.out, &write_compensated(&table, &answers, &nominal))?;
+    let mut unreachable = Vec::new();
     // How far the uncorrected commands would have been off, by the calibrated arm.
     let mut misses = Vec::new();
-    for answer in &answers {
-        let reached = calibrated.base_from_flange(&answer.nominal_joints)?;
-        misses.push(1e3 * (reached.translation.vector - answer.base_from_flange.translation.vector).norm());
+    for (target, answer) in table.targets.iter().zip(&answers) {
+        match answer {
+            Ok(answer) => {
+                let reached = calibrated.base_from_flange(&answer.nominal_joints)?;
+                misses.push(1e3 * (reached.translation.vector - answer.base_from_flange.translation.vector).norm());
+            }
+            Err(problem) => unreachable.push((target.line, problem.to_string())),
+        }
     }
+    if let (true, Some((line, problem))) = (misses.is_empty(), unreachable.first()) {
+        let (targets, count) = (args.targets.display(), answers.len());
+        bail!("{targets}, line {line}: {problem} (nor is there a command for another of the {count} targets)");
+    }
+    write_whole(&args.out, &write_compensated(&table, &answers, &nominal))?;
+    let told: Vec<String> = unreachable
+        .iter()
+        .map(|(line, problem)| format!("{}, line {line}: no command: {problem}", args.targets.display()))
+        .collect();
+    screen::warn_of(cli.quiet, &told, &format!("the column \"status\" of {}", args.out.display()));
     let mean = misses.iter().sum::<f64>() / misses.len() as f64;
     let largest = misses.iter().copied().fold(0.0, f64::max);
     if cli.json {
-        let summary =
-            serde_json::json!({ "targets": answers.len(), "uncorrected_mean_mm": mean, "uncorrected_max_mm": largest });
+        let unreachable: Vec<_> =
+            unreachable.iter().map(|(line, problem)| serde_json::json!({ "line": line, "problem": problem })).collect();
+        let summary = serde_json::json!({
+            "targets": answers.len(), "compensated": misses.len(), "without_command": unreachable,
+            "uncorrected_mean_mm": mean, "uncorrected_max_mm": largest,
+        });
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
+        let of = if unreachable.is_empty() { String::new() } else { format!("{} of ", misses.len()) };
         println!(
-            "{} targets; uncorrected they would be missed by {mean:.3} mm in the mean, {largest:.3} mm at most\nCommands: {}",
+            "{of}{} targets; uncorrected they would be missed by {mean:.3} mm in the mean, {largest:.3} mm at most\nCommands: {}",
             answers.len(),
             args.out.display()
         );

@@ -1,6 +1,8 @@
 //! Targets as CSV: one a line, columns by name. In: `q1_deg` ... (`q1_rad`, `q1_mm`) or `x_mm, y_mm, z_mm, qx, qy, qz,
 //! qw` of the flange in the base, or both: then the pose counts and the joints choose the branch. Other columns are
-//! handed on. Out: the other columns, the joints to command in the units that came in, the pose to command.
+//! handed on. Out: the other columns, the joints to command in the units that came in, the pose to command, and
+//! `status`: "ok", or why there is nothing to command; then the cells of joints and pose are empty. A column `status`
+//! that came in is of an earlier compensation and is replaced.
 
 use super::{Compensated, CompensationOptions, Compensator, TargetProblem, TrueArm};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
@@ -28,16 +30,6 @@ pub enum CompensationError {
         line: u64,
         /// What is wrong.
         problem: String,
-    },
-    /// There is nothing to command for a target.
-    #[error("{}, line {line}: {source}", path.display())]
-    Target {
-        /// The file.
-        path: PathBuf,
-        /// Line, counted from 1 (the header).
-        line: u64,
-        /// Why.
-        source: TargetProblem,
     },
     /// The two arms do not fit together.
     #[error("the nominal and the calibrated arm: {0}")]
@@ -70,6 +62,8 @@ pub struct TargetTable {
     pub targets: Vec<Target>,
 }
 
+/// "ok", or why there is nothing to command.
+const STATUS: &str = "status";
 const POSE_COLUMNS: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"];
 /// Targets of a table at the most.
 const MAX_TARGETS: usize = 1 << 20;
@@ -156,7 +150,7 @@ impl Columns {
         let used = |column: &usize| {
             joints.iter().any(|(joint, _)| joint == column) || pose.is_some_and(|pose| pose.contains(column))
         };
-        let others = (0..header.len()).filter(|column| !used(column)).collect();
+        let others = (0..header.len()).filter(|column| !used(column) && &header[*column] != STATUS).collect();
         Ok(Columns { joints: (!joints.is_empty()).then_some(joints), pose, others, radians })
     }
 
@@ -198,38 +192,33 @@ impl Columns {
 }
 
 impl TargetTable {
-    /// Compensates every target.
+    /// Compensates every target; one that cannot be reached does not hold up the others.
     ///
     /// # Errors
-    /// [`CompensationError::Target`] with the line of the first one for which there is nothing to command.
+    /// [`CompensationError::Arms`] if the arms do not fit together.
     pub fn compensate<'a>(
         &self,
         nominal: &'a SerialChain,
         calibrated: impl Into<TrueArm<'a>>,
         options: &'a CompensationOptions,
-    ) -> Result<Vec<Compensated>, CompensationError> {
+    ) -> Result<Vec<Result<Compensated, TargetProblem>>, CompensationError> {
         let mut compensator = Compensator::new(nominal, calibrated, options)?;
-        self.targets
-            .iter()
-            .map(|target| {
-                let answer = match (&target.base_from_flange, &target.joints) {
-                    (Some(pose), near) => compensator.pose(pose, near.as_deref()),
-                    (None, Some(joints)) => compensator.joints(joints),
-                    // A table has one or the other.
-                    (None, None) => compensator.joints(&[]),
-                };
-                answer.map_err(|source| CompensationError::Target {
-                    path: self.path.clone(),
-                    line: target.line,
-                    source,
-                })
-            })
-            .collect()
+        let answers = self.targets.iter().map(|target| match (&target.base_from_flange, &target.joints) {
+            (Some(pose), near) => compensator.pose(pose, near.as_deref()),
+            (None, Some(joints)) => compensator.joints(joints),
+            // A table has one or the other.
+            (None, None) => compensator.joints(&[]),
+        });
+        Ok(answers.collect())
     }
 }
 
-/// The table of what to command: the other columns, joints, pose of the flange by the nominal arm.
-pub fn write_compensated(table: &TargetTable, answers: &[Compensated], arm: &SerialChain) -> String {
+/// The table of what to command: the other columns, joints, pose of the flange by the nominal arm, status.
+pub fn write_compensated(
+    table: &TargetTable,
+    answers: &[Result<Compensated, TargetProblem>],
+    arm: &SerialChain,
+) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let units: Vec<(&str, f64)> = arm
         .joints()
@@ -243,12 +232,22 @@ pub fn write_compensated(table: &TargetTable, answers: &[Compensated], arm: &Ser
     let mut header = table.others.clone();
     header.extend(units.iter().enumerate().map(|(index, (unit, _))| format!("q{}_{unit}", index + 1)));
     header.extend(POSE_COLUMNS.map(str::to_owned));
+    header.push(STATUS.to_owned());
     let rows = table.targets.iter().zip(answers).map(|(target, answer)| {
         let mut row = target.others.clone();
-        row.extend(answer.joints.iter().zip(&units).map(|(value, (_, scale))| shown(value * scale)));
-        let pose = &answer.commanded_pose;
-        row.extend(pose.translation.vector.iter().map(|length| shown(length * 1e3)));
-        row.extend(pose.rotation.coords.iter().map(|value| shown(*value)));
+        match answer {
+            Ok(answer) => {
+                row.extend(answer.joints.iter().zip(&units).map(|(value, (_, scale))| shown(value * scale)));
+                let pose = &answer.commanded_pose;
+                row.extend(pose.translation.vector.iter().map(|length| shown(length * 1e3)));
+                row.extend(pose.rotation.coords.iter().map(|value| shown(*value)));
+                row.push("ok".to_owned());
+            }
+            Err(problem) => {
+                row.resize(row.len() + units.len() + POSE_COLUMNS.len(), String::new());
+                row.push(problem.to_string());
+            }
+        }
         row
     });
     // Writing to memory does not fail, and every row has the header's length.
@@ -292,12 +291,15 @@ mod tests {
         let answers = table.compensate(&arm(), &arm(), &options).unwrap();
         let text = write_compensated(&table, &answers, &arm());
         let mut lines = text.lines();
-        assert_eq!(lines.next().unwrap(), format!("{},{}", HEADER.trim(), POSE_COLUMNS.join(",")));
-        assert!(lines.next().unwrap().starts_with("pick,10,20,-10,5,40,0,"), "{text}");
+        assert_eq!(lines.next().unwrap(), format!("{},{},status", HEADER.trim(), POSE_COLUMNS.join(",")));
+        let first = lines.next().unwrap();
+        assert!(first.starts_with("pick,10,20,-10,5,40,0,") && first.ends_with(",ok"), "{text}");
         // What is written is read back: the pose that was commanded with the joints beside it.
         let again = read(&text).unwrap();
         let back = again.compensate(&arm(), &arm(), &options).unwrap();
+        assert_eq!(again.others, ["name"], "the status is not handed on");
         for (a, b) in answers.iter().zip(&back) {
+            let (Ok(a), Ok(b)) = (a, b) else { panic!("{a:?} {b:?}") };
             assert!(a.joints.iter().zip(&b.joints).all(|(a, b)| (a - b).abs() < 1e-8));
         }
     }
@@ -318,8 +320,23 @@ mod tests {
             let message = read(&text).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
-        let far = read("x_mm,y_mm,z_mm,qx,qy,qz,qw\n300,0,300,0,0,0,1\n5000,0,0,0,0,0,1\n").unwrap();
-        let message = far.compensate(&arm(), &arm(), &CompensationOptions::default()).unwrap_err().to_string();
-        assert!(message.contains("line 3: the nominal arm does not reach"), "{message}");
+    }
+
+    #[test]
+    fn a_target_out_of_reach_holds_up_no_other() {
+        let table = read(
+            "x_mm,y_mm,z_mm,qx,qy,qz,qw,name\n300,0,300,0,0,0,1,near\n5000,0,0,0,0,0,1,far\n300,50,300,0,0,0,1,next\n",
+        )
+        .unwrap();
+        let answers = table.compensate(&arm(), &arm(), &CompensationOptions::default()).unwrap();
+        assert_eq!(answers.iter().map(Result::is_ok).collect::<Vec<_>>(), [true, false, true]);
+        let text = write_compensated(&table, &answers, &arm());
+        let lines: Vec<&str> = text.lines().collect();
+        let commas = |line: &str| line.split(',').count();
+        assert_eq!(lines.len(), 4);
+        assert_eq!(commas(lines[0]), commas(lines[1]));
+        assert!(lines[2].starts_with(&format!("far{}", ",".repeat(14))), "{text}");
+        assert!(lines[2].contains("the nominal arm does not reach the pose"), "{text}");
+        assert!(lines[3].starts_with("next,") && lines[3].ends_with(",ok"), "{text}");
     }
 }

@@ -87,8 +87,11 @@ pub fn targets(path: &Path) -> bool {
     let Ok(answers) = table.compensate(nominal, calibrated, &CompensationOptions::default()) else { return false };
     let again = path.with_file_name("again.csv");
     std::fs::write(&again, write_compensated(&table, &answers, nominal)).unwrap();
-    assert_eq!(read_targets(&again, nominal).unwrap().targets.len(), answers.len());
-    true
+    // Rows without a command have empty cells, which are no targets.
+    let all = answers.iter().all(Result::is_ok);
+    let read = read_targets(&again, nominal);
+    assert_eq!(read.ok().map(|table| table.targets.len()), all.then_some(answers.len()));
+    all
 }
 
 pub fn joint_log(path: &Path) -> bool {
