@@ -15,6 +15,11 @@ pub fn table(header: &[&str]) -> Table {
     table
 }
 
+/// A number of a table; in powers of ten where it would burst its column.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if value.abs() < 1e7 { format!("{value:.decimals$}") } else { format!("{value:.1e}") }
+}
+
 /// Warnings of a run go to standard error, so that a script that reads the results is not disturbed.
 pub fn warn(quiet: bool, warnings: &[String]) {
     warn_of(quiet, warnings, "summary.json");
@@ -31,5 +36,17 @@ pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
     }
     if warnings.len() > SHOWN {
         eprintln!("warning: ... and {} more; all of them stand in {stand_in}", warnings.len() - SHOWN);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_number_bursts_its_column() {
+        assert_eq!(fixed(-12.34, 1), "-12.3");
+        assert_eq!(fixed(1e300, 1), "1.0e300");
+        assert!(fixed(-f64::MAX, 4).len() <= 10);
     }
 }

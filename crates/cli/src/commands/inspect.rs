@@ -158,9 +158,11 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
         for joint in &inspection.joints {
             table.add_row([
                 joint.joint.clone(),
-                format!("{:.1}", joint.min),
-                format!("{:.1}", joint.max),
-                joint.limits.map_or_else(String::new, |[lower, upper]| format!("{lower:.0} to {upper:.0}")),
+                screen::fixed(joint.min, 1),
+                screen::fixed(joint.max, 1),
+                joint.limits.map_or_else(String::new, |[lower, upper]| {
+                    format!("{} to {}", screen::fixed(lower, 0), screen::fixed(upper, 0))
+                }),
                 joint.unit.to_owned(),
                 joint.distinct.to_string(),
             ]);
@@ -173,13 +175,18 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
         screen::table(&["posture", "sharp", "grey", "dark %", "bright %", "depth m", "depth %", "partners"]);
     for (position, image) in inspection.images.iter().enumerate() {
         let optional = |value: Option<f64>, scale: f64| value.map_or_else(String::new, |v| format!("{:.2}", scale * v));
+        // Depths of a few counts, where the unit is wrong, are no zeros.
+        let depth = image.median_depth_m.map_or_else(String::new, |depth| match depth {
+            0.01.. => screen::fixed(depth, 2),
+            small => format!("{small:.1e}"),
+        });
         table.add_row([
             image.index.to_string(),
             format!("{:.3}", image.sharpness),
             format!("{:.0}", image.exposure.mean),
             format!("{:.1}", 100.0 * image.exposure.dark),
             format!("{:.1}", 100.0 * image.exposure.bright),
-            optional(image.median_depth_m, 1.0),
+            depth,
             optional(image.depth_share, 100.0),
             partners(position).to_string(),
         ]);
@@ -191,6 +198,9 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
         inspection.pairs.len(),
         inspection.groups.len()
     );
+    if let Some(board) = &inspection.board {
+        println!("Board: {} corners in {} postures", board.corners, board.postures);
+    }
     if let Some(expected) = &inspection.expected {
         show_expected(expected);
     }
@@ -208,6 +218,9 @@ fn show_expected(expected: &ExpectedSigmas) {
         ]);
     }
     println!("{table}");
+    if expected.parameters.iter().any(|parameter| parameter.sigma.is_none()) {
+        println!("-: these postures say next to nothing of it; it keeps its tolerance");
+    }
     println!(
         "camera over the postures: expected sigma {:.3} mm and {:.4} deg in the mean, {:.3} mm and {:.4} deg at most",
         expected.camera_sigma_mm.mean,
@@ -216,9 +229,15 @@ fn show_expected(expected: &ExpectedSigmas) {
         expected.camera_sigma_deg.max
     );
     let depth = expected.depth_sigma_per_m.map_or(String::new(), |s| format!(" and {s} z^2 m of depth"));
+    let sights = match (expected.sights, expected.corners) {
+        (sights, 0) => format!("{sights} sights"),
+        (0, corners) => format!("{corners} corners of the board"),
+        (sights, corners) => format!("{sights} sights and {corners} corners of the board"),
+    };
+    println!("predicted for {sights} with {} px{depth} of noise", expected.pixel_sigma);
     println!(
-        "predicted for {} sights with {} px{depth} of noise; {} of {} combinations can be told",
-        expected.sights, expected.pixel_sigma, expected.rank, expected.free
+        "{} of {} combinations of parameters can be told to half of their tolerance or better",
+        expected.told, expected.free
     );
 }
 

@@ -1,18 +1,20 @@
 //! How well the arm can be calibrated with these postures: sights that the nominal rig predicts, and the covariance that they would give.
 //!
 //! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should be matched with it,
-//! as long as they lie inside, are not hidden there and look alike. Board corners are not predicted: a board can only make it better.
+//! as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are not predicted but found, and heard as a run
+//! hears them: alone where (nearly) every posture shows them and there is no depth.
 
 use crate::dataset::Dataset;
 use crate::evaluation::Statistics;
-use crate::pipeline::{ImagePair, PairingOptions, assumed_points, measured_points, shown_to};
+use crate::pipeline::{BoardUse, ImagePair, PairingOptions, assumed_points, board_alone, measured_points, shown_to};
 use crate::summary::file_unit;
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    CalibrationError, Correspondences, ExpectationOptions, ExpectedCalibration, Parameter, ParameterEstimate, Track,
-    TrackObservation, default_sigma, expected_calibration, isotropic_covariance, orientation_sigma_rad,
-    position_sigma_m,
+    BoardObservation, CalibrationError, Correspondences, ExpectationOptions, ExpectedCalibration, Parameter,
+    ParameterEstimate, Track, TrackObservation, default_sigma, expected_calibration, isotropic_covariance,
+    orientation_sigma_rad, position_sigma_m, stated_sigma,
 };
 use skclam_geometry::{DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
 use skclam_rig::Rig;
@@ -55,6 +57,8 @@ pub struct ExpectedSigmas {
     pub points: usize,
     /// Sights of them.
     pub sights: usize,
+    /// Corners of the rig's board in all images.
+    pub corners: usize,
     /// Sigma of a pixel coordinate that was assumed, px.
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2` that was assumed, 1/m; `null` without depth.
@@ -63,8 +67,10 @@ pub struct ExpectedSigmas {
     pub parameters: Vec<ExpectedParameter>,
     /// Number of free parameters.
     pub free: usize,
-    /// How many combinations of them the postures can tell.
+    /// How many combinations of them the residuals depend on.
     pub rank: usize,
+    /// How many combinations become known to half of their tolerance or better; the others stay about as they were before.
+    pub told: usize,
     /// Greatest over smallest singular value of what is seen.
     pub condition_number: Option<f64>,
     /// What cannot be told, and why, in words.
@@ -167,38 +173,72 @@ impl Predicted {
     }
 }
 
+/// What the images are expected to show.
+pub(super) struct Sights<'a> {
+    /// One a posture.
+    pub views: &'a [Predicted],
+    /// Which of them should show the same.
+    pub pairs: &'a [ImagePair],
+    /// Corners of the board that were found.
+    pub boards: Vec<BoardObservation>,
+}
+
 /// What a calibration of this data set should reach, by its nominal rig.
 pub(super) fn expected_sigmas(
     dataset: &Dataset,
-    views: &[Predicted],
-    pairs: &[ImagePair],
+    seen: Sights<'_>,
     joints: &[JointCoverage],
     pairing: &PairingOptions,
     options: &ExpectedSigmaOptions,
 ) -> Result<ExpectedSigmas, CalibrationError> {
     let rig = &dataset.rig;
     let postures = dataset.records.iter().map(|record| record.posture.clone()).collect();
-    let tracks = predicted_tracks(views, pairs, &rig.color, pairing, options.sights_per_point);
-    let data = Correspondences { postures, tracks, ..Default::default() };
+    let Sights { views, pairs, mut boards } = seen;
+    let has_depth = views.iter().any(|view| view.surface.is_some());
+    let mut tracks = Vec::new();
+    if board_alone(BoardUse::Auto, boards.len(), dataset.len(), has_depth) {
+        boards.iter_mut().for_each(|board| board.sigma_px = 1.0);
+    } else {
+        tracks = predicted_tracks(views, pairs, &rig.color, pairing, options.sights_per_point);
+    }
+    let corners = boards.iter().map(|board| board.corners.len()).sum();
+    let data = Correspondences { postures, tracks, boards, ..Default::default() };
     let expected = expected_calibration(rig, &data, &options.expectation)?;
     let over = |value: &dyn Fn(&skclam_calibration::PoseCovariance) -> f64| {
         Statistics::of(&expected.poses.iter().map(value).collect::<Vec<_>>())
     };
-    let has_depth = views.iter().any(|view| view.surface.is_some());
     Ok(ExpectedSigmas {
         points: data.tracks.len(),
         sights: data.observation_count(),
+        corners,
         pixel_sigma: options.expectation.pixel_sigma,
         depth_sigma_per_m: has_depth.then_some(options.expectation.depth_sigma_per_m),
         parameters: expected.parameters.iter().map(ExpectedParameter::of).collect(),
         free: expected.parameters.len(),
         rank: expected.identifiability.rank,
+        told: told_combinations(rig, &expected),
         condition_number: Some(expected.identifiability.condition_number).filter(|number| number.is_finite()),
         not_identifiable: expected.identifiability.unseen.iter().map(|unseen| unseen.reason.clone()).collect(),
         camera_sigma_mm: over(&|pose| 1e3 * position_sigma_m(&pose.camera)),
         camera_sigma_deg: over(&|pose| orientation_sigma_rad(&pose.camera).to_degrees()),
         joints_to_move: joints_to_move(rig, &expected, joints, options),
     })
+}
+
+/// Variance that is left of a combination's tolerance where it counts as told: half the standard deviation.
+const TOLD: f64 = 0.25;
+
+/// Combinations of parameters that the data make known: directions in which the expected covariance, measured by the tolerances,
+/// is small. What the residuals do not depend on is none, whatever its variance is taken as.
+fn told_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
+    let tolerance = |k: usize| {
+        let parameter = expected.parameters[k].parameter;
+        stated_sigma(rig, parameter).unwrap_or_else(|| default_sigma(rig, parameter))
+    };
+    let count = expected.parameters.len();
+    let relative = DMatrix::from_fn(count, count, |i, j| expected.covariance[(i, j)] / (tolerance(i) * tolerance(j)));
+    let left = relative.symmetric_eigenvalues();
+    left.iter().filter(|&&variance| variance < TOLD).count().min(expected.identifiability.rank)
 }
 
 /// Each image's points and where its partners show them.

@@ -2,18 +2,23 @@
 //! which postures should see the same, how well each parameter can be told from them, and what is likely to go wrong.
 
 mod expected;
+mod warnings;
 
 pub use expected::{ExpectedParameter, ExpectedSigmaOptions, ExpectedSigmas, JointToMove};
 
 use crate::dataset::{Dataset, DatasetError};
-use crate::pipeline::{ImagePair, PairingOptions, PredictedView, choose_pairs};
+use crate::pipeline::{
+    BoardSummary, Config, ImagePair, PairingOptions, PredictedView, RunError, choose_pairs, find_boards,
+};
 use crate::progress::{Progress, Stage};
 use expected::{Predicted, expected_sigmas};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use skclam_features::board::BoardOptions;
 use skclam_kinematics::JointKind;
 use skclam_recordings::{Exposure, exposure, sharpness};
 use skclam_rig::{PostureState, RigError};
+use warnings::warnings;
 
 /// From where on something is worth a warning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -33,6 +38,10 @@ pub struct InspectionOptions {
     pub max_clipped: f64,
     /// A depth image with a smaller share of measured pixels is a poor one.
     pub min_depth_share: f64,
+    /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt, metres.
+    pub plausible_depth_m: [f64; 2],
+    /// Detector of the rig's board.
+    pub board: BoardOptions,
     /// Prediction of how well the parameters can be told.
     pub expected: ExpectedSigmaOptions,
 }
@@ -47,6 +56,8 @@ impl Default for InspectionOptions {
             min_relative_sharpness: 0.4,
             max_clipped: 0.25,
             min_depth_share: 0.3,
+            plausible_depth_m: [0.1, 10.0],
+            board: BoardOptions::default(),
             expected: ExpectedSigmaOptions::default(),
         }
     }
@@ -99,6 +110,8 @@ pub struct Inspection {
     pub pairs: Vec<ImagePair>,
     /// Groups of postures that no pair connects, the largest first: each is its own island.
     pub groups: Vec<Vec<usize>>,
+    /// The rig's board in the images; `null` where the rig has none.
+    pub board: Option<BoardSummary>,
     /// How well each parameter can be told from these postures; `null` where they cannot be calibrated with at all.
     pub expected: Option<ExpectedSigmas>,
     /// What a person should hear of, each with advice.
@@ -115,6 +128,9 @@ pub enum InspectionError {
     /// A posture.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// The rig's board cannot be looked for.
+    #[error(transparent)]
+    Board(Box<RunError>),
     /// It was asked to stop.
     #[error("stopped")]
     Stopped,
@@ -148,13 +164,20 @@ pub fn inspect(
     let pairs = choose_pairs(&views, &dataset.rig.color, &options.pairing);
     let groups = groups(dataset.len(), &pairs, options.pairing.min_overlap);
     let joints = coverage(dataset);
-    let expected = expected_sigmas(dataset, &predicted, &pairs, &joints, &options.pairing, &options.expected);
+    let config = Config { board: options.board.clone(), ..Config::default() };
+    let boards = find_boards(dataset, &[], &config, progress).map_err(|error| match error {
+        RunError::Interrupted => InspectionError::Stopped,
+        error => InspectionError::Board(Box::new(error)),
+    })?;
+    let (boards, board) = boards.map_or((vec![], None), |(boards, summary)| (boards, Some(summary)));
+    let seen = expected::Sights { views: &predicted, pairs: &pairs, boards };
+    let expected = expected_sigmas(dataset, seen, &joints, &options.pairing, &options.expected);
     let (expected, impossible) = match expected {
         Ok(expected) => (Some(expected), None),
         Err(error) => (None, Some(format!("with these postures nothing can be calibrated: {error}"))),
     };
     let mut inspection =
-        Inspection { postures: dataset.len(), joints, images, pairs, groups, expected, warnings: vec![] };
+        Inspection { postures: dataset.len(), joints, images, pairs, groups, board, expected, warnings: vec![] };
     inspection.warnings = warnings(dataset, &inspection, options);
     inspection.warnings.extend(impossible);
     Ok(inspection)
@@ -249,95 +272,6 @@ fn groups(count: usize, pairs: &[ImagePair], min_overlap: f64) -> Vec<Vec<usize>
     groups
 }
 
-fn warnings(dataset: &Dataset, inspection: &Inspection, options: &InspectionOptions) -> Vec<String> {
-    let mut warnings = Vec::new();
-    let count = inspection.postures;
-    if count < options.min_postures {
-        warnings
-            .push(format!("{count} postures; {} or more, spread over the cell, calibrate well", options.min_postures));
-    }
-    if inspection.joints.is_empty() {
-        warnings.push("only flange poses are known: the mount can be calibrated, the arm cannot".to_owned());
-    }
-    if let Some(expected) = &inspection.expected {
-        warnings.extend(expected.joints_to_move.iter().map(|joint| {
-            format!(
-                "joint {} should move more: {:.1} {} leave {} unknown",
-                joint.joint,
-                joint.range,
-                joint.unit,
-                joint.parameters.join(", ")
-            )
-        }));
-        warnings.extend(expected.not_identifiable.iter().map(|reason| format!("not identifiable: {reason}")));
-    }
-    for joint in &inspection.joints {
-        let (range, least) = (
-            joint.max - joint.min,
-            if joint.unit == "deg" { options.min_joint_range_deg } else { options.min_joint_range_mm },
-        );
-        if range < least {
-            warnings.push(format!(
-                "joint {} moves by {range:.1} {} only; let it move by {least} {} or more, or its parameters stay unknown",
-                joint.joint, joint.unit, joint.unit
-            ));
-        }
-        if let Some([lower, upper]) = joint.limits
-            && (joint.min < lower || joint.max > upper)
-        {
-            warnings.push(format!(
-                "joint {} goes from {:.1} to {:.1} {}, beyond its limits {lower:.1} to {upper:.1}; are units and order of the joints right?",
-                joint.joint, joint.min, joint.max, joint.unit
-            ));
-        }
-    }
-    let mut values: Vec<f64> = inspection.images.iter().map(|image| image.sharpness).collect();
-    values.sort_by(f64::total_cmp);
-    let median = values[values.len() / 2];
-    let mut list = |what: &str, advice: &str, bad: &dyn Fn(&ImageJudgement) -> bool| {
-        let found: Vec<String> =
-            inspection.images.iter().filter(|image| bad(image)).map(|image| image.index.to_string()).collect();
-        if !found.is_empty() {
-            const SHOWN: usize = 12;
-            let more = if found.len() > SHOWN { ", ..." } else { "" };
-            let shown = found[..found.len().min(SHOWN)].join(", ");
-            warnings.push(format!("{what} in {} of {count} postures ({shown}{more}); {advice}", found.len()));
-        }
-    };
-    list("blurred images", "let the arm stand before an image is taken", &|image| {
-        image.sharpness < options.min_relative_sharpness * median
-    });
-    list("underexposed images", "more light, or a longer exposure at a standstill", &|image| {
-        image.exposure.dark > options.max_clipped
-    });
-    list("overexposed images", "less light or a shorter exposure; avoid lamps in view", &|image| {
-        image.exposure.bright > options.max_clipped
-    });
-    list("images without contrast", "the camera must see textured things, not a bare wall", &|image| {
-        image.exposure.sd < 10.0
-    });
-    list("depth images that are mostly holes", "stay within the camera's range, off glass and mirrors", &|image| {
-        image.depth_share.is_some_and(|share| share < options.min_depth_share)
-    });
-    if dataset.rig.depth.is_none() {
-        warnings.push("there is no depth: no map can be made".to_owned());
-    }
-    if inspection.groups.len() > 1 {
-        let alone = inspection.groups.iter().filter(|group| group.len() == 1).count();
-        warnings.push(format!(
-            "by the nominal rig the postures see {} separate parts of the cell ({alone} postures see nothing that another sees); take postures between them",
-            inspection.groups.len()
-        ));
-    }
-    let partners = 2.0 * inspection.pairs.len() as f64 / count.max(1) as f64;
-    if partners < 3.0 {
-        warnings.push(format!(
-            "each posture shares its view with {partners:.1} others in the mean; 4 or more make errors visible"
-        ));
-    }
-    warnings
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -374,6 +308,7 @@ mod tests {
         let expected = good.expected.as_ref().unwrap();
         assert!(expected.rank == expected.free && expected.joints_to_move.is_empty(), "{expected:?}");
         assert!((0.005..0.3).contains(&expected.camera_sigma_mm.mean), "{expected:?}");
+        assert!(expected.told > expected.free / 2, "{expected:?}");
         dataset.records.truncate(3);
         let bad = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
         assert!(bad.warnings.iter().any(|warning| warning.starts_with("3 postures; 30 or more")), "{:?}", bad.warnings);
@@ -390,10 +325,51 @@ mod tests {
         }
         let still = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
         let expected = still.expected.unwrap();
-        assert!(expected.rank < expected.free, "{expected:?}");
+        assert!(expected.told <= expected.rank && expected.rank < expected.free, "{expected:?}");
         let named: Vec<&str> = expected.joints_to_move.iter().map(|joint| joint.joint.as_str()).collect();
         assert_eq!(named, [still.joints[4].joint.as_str()], "{expected:?}");
         assert!(expected.not_identifiable.iter().any(|reason| reason.contains("joint 5")), "{expected:?}");
         assert!(still.warnings.iter().any(|warning| warning.contains("should move more")), "{:?}", still.warnings);
+    }
+    #[test]
+    fn what_only_the_tolerances_tell_is_not_counted_as_told() {
+        let Some(mut dataset) = shared("virtual-cell") else { return };
+        for (at, record) in dataset.records.iter_mut().enumerate() {
+            if let PostureState::Joints(values) = &mut record.posture.state {
+                // All but the last joint stand still, up to what makes the residuals depend on them a little.
+                *values = [0.1, 0.2, -0.3, 0.1, 0.6, 0.1 * at as f64].map(|q| q + 1e-5 * (at as f64).sin()).to_vec();
+            }
+        }
+        let expected = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap().expected;
+        let expected = expected.unwrap();
+        let none = expected.parameters.iter().filter(|parameter| parameter.sigma.is_none()).count();
+        assert!(none > 10 && expected.told < 10, "{expected:?}");
+    }
+
+    #[test]
+    fn a_wrong_unit_of_depth_is_named() {
+        let Some(mut dataset) = shared("virtual-cell") else { return };
+        dataset.records.truncate(2);
+        let told = |dataset: &Dataset| {
+            let judged = inspect(dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
+            judged.warnings.iter().any(|warning| warning.contains("depth.unit_mm"))
+        };
+        assert!(!told(&dataset));
+        dataset.rig.depth.as_mut().unwrap().unit_m *= 1e-3;
+        assert!(told(&dataset));
+    }
+
+    #[test]
+    fn a_board_tells_the_scale_and_leads_where_all_postures_show_it() {
+        let Some(mut dataset) = shared("nachi-mz25") else { return };
+        let by_board = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
+        let board = by_board.board.as_ref().unwrap();
+        assert_eq!((board.postures, board.corners), (24, 24 * 88), "{board:?}");
+        let expected = by_board.expected.as_ref().unwrap();
+        assert_eq!((expected.points, expected.corners), (0, 24 * 88));
+        assert!(!by_board.warnings.iter().any(|warning| warning.contains("scale")), "{:?}", by_board.warnings);
+        dataset.rig.board = None;
+        let without = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
+        assert!(without.warnings.iter().any(|warning| warning.contains("scale")), "{:?}", without.warnings);
     }
 }

@@ -50,7 +50,7 @@ const NEARLY_ALL: f64 = 0.9;
 /// Corners are named beyond doubt and known to a few hundredths of a pixel. Natural features of a scene that was arranged for a board are
 /// few and short-lived; on the one real recording at hand they made the fit worse (benchmarks/estimator, 2026-11-23-board). They are wanted where the board is
 /// missing, and where they bring depth, which a board's corners do not.
-pub(super) fn board_alone(chosen: BoardUse, seen: usize, postures: usize, has_depth: bool) -> bool {
+pub(crate) fn board_alone(chosen: BoardUse, seen: usize, postures: usize, has_depth: bool) -> bool {
     match chosen {
         BoardUse::Alone => seen > 0,
         BoardUse::Together => false,
@@ -249,14 +249,14 @@ impl BoardSummary {
     }
 
     /// What a person should hear of.
-    pub(super) fn warnings(&self, board: &Board) -> Vec<String> {
+    pub(crate) fn warnings(&self, board: &Board) -> Vec<String> {
         let list = |indices: &[u64]| indices.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
         let size = format!("{} x {} inner corners", board.columns, board.rows);
         let mut told = Vec::new();
         if self.postures == 0 && self.ambiguous.is_empty() {
             told.push(format!(
                 "the board of the rig ({size}) was found in no image: are columns and rows its inner corners (one less than its squares), \
-                 is its kind right, does the whole of it show, sharp and without glare? The run went on without it"
+                 is its kind right, does the whole of it show, sharp and without glare? Without it its lengths are not heard"
             ));
             return told;
         }

@@ -23,7 +23,7 @@ mod validate;
 mod verdict;
 
 pub use agreement::{Agreement, AgreementSample, SurfaceAgreement, surface_agreement};
-use boards::board_alone;
+pub(crate) use boards::board_alone;
 pub use boards::{BoardSummary, board_layout, find_boards};
 pub use calibrate::calibrate;
 pub use camera_fixed::{CameraFixedSummary, drop_camera_fixed};
