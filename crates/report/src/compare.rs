@@ -179,8 +179,8 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is said.",
         };
         let mut html = table("numbers", caption, &head, &rows);
-        let charts = if id == "figures" {
-            vec![residual_chart(runs, comparison)]
+        let charts: Vec<Chart> = if id == "figures" {
+            residual_chart(runs, comparison).into_iter().collect()
         } else {
             changes_chart(comparison).into_iter().collect()
         };
@@ -216,7 +216,10 @@ fn labels(comparison: &Comparison) -> Vec<String> {
     comparison.runs.iter().enumerate().map(|(at, run)| format!("[{}] {}", at + 1, escaped(&run.name))).collect()
 }
 
-fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Chart {
+/// Of the runs that have matches.
+fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Option<Chart> {
+    let after = |run: &RunResult| run.number("/calibration/epipolar_after/median_px");
+    runs.iter().find_map(after)?;
     let bars = |name: &str, which: &str, color: &str, pattern: &str| {
         let y: Vec<Option<f64>> =
             runs.iter().map(|run| run.number(&format!("/calibration/epipolar_{which}/median_px"))).collect();
@@ -224,7 +227,7 @@ fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Chart {
                "marker": {"color": color, "pattern": {"shape": pattern, "fillmode": "overlay", "size": 6}},
                "hovertemplate": "%{y:.3g} px<extra></extra>"})
     };
-    Chart {
+    Some(Chart {
         id: "compared-residuals",
         caption: "Median distance of the matches to their epipolar lines.".to_owned(),
         description: "Bars of the median residual of each run, nominal and calibrated".to_owned(),
@@ -234,7 +237,7 @@ fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Chart {
             "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 340,
-    }
+    })
 }
 
 /// How far each parameter of the other runs is from the first, in sigmas.

@@ -76,7 +76,7 @@ impl<'a> Numbers<'a> {
 
     /// The figure as HTML; "not measured" where there is none.
     pub fn show(&self, pointer: &str, digits: Digits) -> String {
-        let found = self.run.summary.pointer(pointer).filter(|found| found.is_number());
+        let found = self.run.figure(pointer);
         match (found, found.and_then(Value::as_f64)) {
             (Some(found), Some(value)) => {
                 format!("<data value=\"{found}\" data-from=\"{}\">{}</data>", escaped(pointer), number(value, digits))

@@ -39,9 +39,17 @@ impl RunResult {
         Ok(RunResult { name: name.unwrap_or_else(|| folder.display().to_string()), summary, data: data(folder)? })
     }
 
-    /// A figure of the summary by its JSON pointer.
+    /// A figure of the summary by its JSON pointer; `None` where it was not measured: without matches there is no distance to a line,
+    /// though the summary holds the 0 of an empty list.
+    pub fn figure(&self, pointer: &str) -> Option<&Value> {
+        let of_matches = pointer.starts_with("/calibration/epipolar_");
+        let no_matches = || self.summary.pointer("/counts/matches").and_then(Value::as_u64) == Some(0);
+        self.summary.pointer(pointer).filter(|value| value.is_number() && !(of_matches && no_matches()))
+    }
+
+    /// A figure as a number.
     pub fn number(&self, pointer: &str) -> Option<f64> {
-        self.summary.pointer(pointer)?.as_f64()
+        self.figure(pointer)?.as_f64()
     }
 
     /// A text of the summary by its JSON pointer; empty where there is none.
@@ -116,4 +124,22 @@ fn check(data: &ReportData) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn without_matches_there_is_no_distance_to_a_line() {
+        let run = |matches: u64| RunResult {
+            name: String::new(),
+            summary: json!({"counts": {"matches": matches}, "calibration": {"epipolar_after": {"median_px": 0.0}}}),
+            data: None,
+        };
+        let pointer = "/calibration/epipolar_after/median_px";
+        assert_eq!((run(0).number(pointer), run(1).number(pointer)), (None, Some(0.0)));
+        assert_eq!(run(0).number("/counts/matches"), Some(0.0));
+    }
 }

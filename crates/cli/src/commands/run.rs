@@ -128,22 +128,17 @@ pub fn show(summary: &Summary) {
         println!("{table}\n");
     }
     let mut table = screen::table(&["residuals, px", "nominal", "calibrated"]);
-    let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
-    table.add_row([
-        "error function, Eq. (7)".to_owned(),
-        format!("{:.3}", before.error_function),
-        format!("{:.3}", after.error_function),
-    ]);
-    table.add_row([
-        "point-line distance, RMS".to_owned(),
-        format!("{:.3}", before.rms_px),
-        format!("{:.3}", after.rms_px),
-    ]);
-    table.add_row([
-        "point-line distance, median".to_owned(),
-        format!("{:.3}", before.median_px),
-        format!("{:.3}", after.median_px),
-    ]);
+    // A board alone has no matches, and so no distances to lines.
+    if summary.counts.matches > 0 {
+        let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
+        for (name, before, after) in [
+            ("error function, Eq. (7)", before.error_function, after.error_function),
+            ("point-line distance, RMS", before.rms_px, after.rms_px),
+            ("point-line distance, median", before.median_px, after.median_px),
+        ] {
+            table.add_row([name.to_owned(), format!("{before:.3}"), format!("{after:.3}")]);
+        }
+    }
     if let (Some(before), Some(after)) = (&calibration.reprojection_before, &calibration.reprojection_after) {
         table.add_row([
             "reprojection, RMS".to_owned(),

@@ -21,6 +21,10 @@ pub(crate) fn section(run: &RunResult) -> Section {
     let mut charts = Vec::new();
     match &run.data {
         None => html += super::NO_DATA,
+        Some(data) if data.residuals.pairs.is_empty() => {
+            html +=
+                "<p>No matches between images took part: the postures hang together by the board that they saw.</p>\n";
+        }
         Some(data) => {
             let parts = components(data);
             html += &match parts {

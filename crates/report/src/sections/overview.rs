@@ -58,13 +58,18 @@ fn tiles(run: &RunResult) -> String {
     let tile = |label: &str, value: String, note: &str| {
         format!("<div><dt>{label}</dt><dd>{value}<small>{note}</small></dd></div>\n")
     };
-    let before = "/calibration/epipolar_before/median_px";
     let mut out = String::from("<dl class=\"tiles\">\n");
-    out += &tile(
-        "Matches to their lines",
-        numbers.change(before, "/calibration/epipolar_after/median_px", "px"),
-        "median distance, nominal to calibrated",
-    );
+    // Without pairs (a board alone) there are no lines to be far from.
+    let fits = [
+        ("Matches to their lines", "epipolar", "median_px", "median distance, nominal to calibrated"),
+        ("Points to where they were seen", "reprojection", "rms_px", "reprojection, RMS, nominal to calibrated"),
+    ];
+    let pointer = |kind: &str, which: &str, field: &str| format!("/calibration/{kind}_{which}/{field}");
+    let fit = fits.iter().find(|(_, kind, field, _)| run.number(&pointer(kind, "after", field)).is_some());
+    if let Some((label, kind, field, note)) = fit {
+        let change = numbers.change(&pointer(kind, "before", field), &pointer(kind, "after", field), "px");
+        out += &tile(label, change, note);
+    }
     let held_out = "/held_out/figure_px/calibrated";
     out += &tile(
         "Held-out postures",

@@ -5,7 +5,7 @@ use crate::figures::{CALIBRATED, Chart, Digits, NOMINAL, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::{Value, json};
-use skclam::report_data::{Arrows, Histogram, ImageCell, ReportData};
+use skclam::report_data::{Histogram, ImageCell, ReportData, ResidualKind};
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let mut html = figures(run);
@@ -21,13 +21,18 @@ pub(crate) fn section(run: &RunResult) -> Section {
                 html.push_str(&chart.html());
                 charts.push(chart);
             };
-            add(histogram(&data.residuals.histogram), &mut html);
-            add(by_posture(data), &mut html);
-            html += "<h3>By place in the image</h3>\n<div class=\"pair\">\n";
+            // Results of programs that did not yet sum up sights have none without matches.
+            if data.residuals.postures.iter().any(|posture| posture.ends > 0) {
+                add(histogram(&data.residuals.histogram, data.residuals.distances), &mut html);
+                add(by_posture(data), &mut html);
+            }
             let cells = &data.residuals.cells;
-            add(arrows("arrows-before", "nominal", NOMINAL, data, cells, |cell| cell.before_px), &mut html);
-            add(arrows("arrows-after", "calibrated", CALIBRATED, data, cells, |cell| cell.after_px), &mut html);
-            html += "</div>\n";
+            if !cells.is_empty() {
+                html += "<h3>By place in the image</h3>\n<div class=\"pair\">\n";
+                add(arrows("arrows-before", "nominal", NOMINAL, data, cells, |cell| cell.before_px), &mut html);
+                add(arrows("arrows-after", "calibrated", CALIBRATED, data, cells, |cell| cell.after_px), &mut html);
+                html += "</div>\n";
+            }
             if let Some(chart) = by_joint(data) {
                 html += "<h3>By joint angle</h3>\n";
                 add(chart, &mut html);
@@ -130,7 +135,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
 }
 
 /// Lines of a histogram over bins whose widths grow by a factor.
-fn histogram(histogram: &Histogram) -> Chart {
+fn histogram(histogram: &Histogram, kind: ResidualKind) -> Chart {
     let total = histogram.before.iter().sum::<u64>().max(1) as f64;
     // A file that a stranger made may have lists of different lengths.
     let count = |counts: &[u64], k: usize| counts.get(k).copied().unwrap_or(0);
@@ -154,17 +159,29 @@ fn histogram(histogram: &Histogram) -> Chart {
     };
     Chart {
         id: "histogram",
-        caption: "Distances of all matches to their epipolar lines, both images of each match; bins grow by a constant factor.".to_owned(),
-        description: "Histogram of distances to the epipolar lines, nominal and calibrated".to_owned(),
+        caption: match kind {
+            ResidualKind::Epipolar => "Distances of all matches to their epipolar lines, both images of each match; bins grow by a constant factor.",
+            ResidualKind::Reprojection => "Distances of all points and board corners to where they should appear; bins grow by a constant factor.",
+        }
+        .to_owned(),
+        description: format!("Histogram of distances to {}, nominal and calibrated", aim(kind)),
         data: json!([
             trace("nominal", &histogram.before, NOMINAL, "dash"),
             trace("calibrated", &histogram.after, CALIBRATED, "solid"),
         ]),
         layout: json!({
-            "xaxis": {"type": "log", "title": {"text": "distance to the epipolar line (px)"}, "exponentformat": "none", "dtick": 1},
+            "xaxis": {"type": "log", "title": {"text": format!("distance to {} (px)", aim(kind))}, "exponentformat": "none", "dtick": 1},
             "yaxis": {"title": {"text": "share (%)"}, "rangemode": "tozero"},
         }),
         height: 320,
+    }
+}
+
+/// What a distance is measured to.
+fn aim(kind: ResidualKind) -> &'static str {
+    match kind {
+        ResidualKind::Epipolar => "the epipolar line",
+        ResidualKind::Reprojection => "the projected point",
     }
 }
 
@@ -189,9 +206,11 @@ fn by_posture(data: &ReportData) -> Chart {
     let pair = |ends: &skclam::report_data::Ends| (ends.median_px, ends.p90_px);
     Chart {
         id: "by-posture",
-        caption: "By posture: median distance of the matches in its image, with the line up to the 90th percentile. One posture far above the \
-                  others hints at wrong joint values or a bumped camera."
-            .to_owned(),
+        caption: format!(
+            "By posture: median distance to {} in its image, with the line up to the 90th percentile. One posture far above the \
+             others hints at wrong joint values or a bumped camera.",
+            aim(data.residuals.distances)
+        ),
         description: "Median residual of every posture, nominal and calibrated".to_owned(),
         data: json!([
             trace("nominal", NOMINAL, "diamond-open", &|at| pair(&residuals[at].before)),
@@ -242,8 +261,8 @@ fn arrows(
             name[..1].to_uppercase(),
             &name[1..],
             match data.residuals.arrows {
-                Arrows::Reprojection => "where a point should appear",
-                Arrows::Epipolar => "its epipolar line",
+                ResidualKind::Reprojection => "where a point should appear",
+                ResidualKind::Epipolar => "its epipolar line",
             },
             crate::figures::number(longest, Digits::Significant(2))
         ),
@@ -318,9 +337,11 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
     }
     Some(Chart {
         id: "by-joint",
-        caption: "Median distance of each posture against its joint values. A wave over an angle hints at gears or an eccentric encoder, a slope at \
-                  something that gives way."
-            .to_owned(),
+        caption: format!(
+            "Median distance to {} of each posture against its joint values. A wave over an angle hints at gears or an eccentric \
+             encoder, a slope at something that gives way.",
+            aim(data.residuals.distances)
+        ),
         description: "Median residual of every posture against every joint value, nominal and calibrated".to_owned(),
         data: json!(traces),
         layout,

@@ -13,7 +13,9 @@ mod residuals;
 pub use map_samples::{MapSamples, sample_map};
 pub use packed::{Packed, Picture};
 pub use pair_pictures::{PairPicture, PicturedMatch, pair_pictures};
-pub use residuals::{Arrows, Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, residual_data};
+pub use residuals::{
+    Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, residual_data,
+};
 
 use crate::dataset::Dataset;
 use crate::pipeline::{PoseSigma, RunError, localize};

@@ -1,5 +1,6 @@
 //! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by posture and by pair; and by place
-//! in the image, where sights stand beside the projections of their points. Every figure is over all of them, none is drawn at random.
+//! in the image, where sights stand beside the projections of their points. Where no pair was heard (a board alone), histogram and postures are of
+//! the sights too. Every figure is over all of them, none is drawn at random.
 
 use super::rounded;
 use crate::dataset::Dataset;
@@ -20,9 +21,13 @@ const CELLS_ACROSS: u32 = 16;
 /// A cell with fewer residuals says nothing.
 const LEAST_RESIDUALS: usize = 8;
 
-/// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line.
+/// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line. Where there are no matches, an end is a
+/// sight of a board's corner or of a scene point, and its distance is to where that should appear.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualData {
+    /// What the distances of `histogram` and `postures` are.
+    #[serde(default)]
+    pub distances: ResidualKind,
     /// Distances of all ends.
     pub histogram: Histogram,
     /// One a posture, in their order.
@@ -32,15 +37,15 @@ pub struct ResidualData {
     /// Columns and rows into which the image was divided.
     pub grid: [u32; 2],
     /// What the arrows of the cells are.
-    pub arrows: Arrows,
+    pub arrows: ResidualKind,
     /// The cells that hold enough residuals.
     pub cells: Vec<ImageCell>,
 }
 
-/// Residuals as vectors in the image.
+/// From where to where a residual goes in the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Arrows {
+pub enum ResidualKind {
     /// From where a scene point should appear to where it was seen: where there are tracks or a board.
     Reprojection,
     /// From the epipolar line to the pixel: where there are pairs alone. Errors along the line do not show.
@@ -155,16 +160,24 @@ pub fn residual_data(
         reprojection_residuals(&Model::new(dataset.rig.clone()), &calibration.model, data, calibration.noise.pixel)?;
     let (arrows, places): (_, Vec<Place>) = if reprojection.is_empty() {
         // A residual is what was seen less what should be: against the way to the line.
-        (Arrows::Epipolar, ends.iter().map(|end| (end.pixel, end.ways.map(|way| -way))).collect())
+        (ResidualKind::Epipolar, ends.iter().map(|end| (end.pixel, end.ways.map(|way| -way))).collect())
     } else {
         (
-            Arrows::Reprojection,
+            ResidualKind::Reprojection,
             reprojection.iter().map(|sight| (sight.pixel, [sight.nominal, sight.calibrated])).collect(),
         )
     };
     let (grid, cells) = cells(&places, camera.width, camera.height);
+    let distances = if ends.is_empty() { arrows } else { ResidualKind::Epipolar };
+    if ends.is_empty() {
+        ends.extend(reprojection.iter().map(|sight| End {
+            posture: sight.posture,
+            pixel: sight.pixel,
+            ways: [sight.nominal, sight.calibrated],
+        }));
+    }
     let postures = postures(&ends, data.postures.len());
-    Ok((ResidualData { histogram: histogram(&ends), postures, pairs, grid, arrows, cells }, per_match))
+    Ok((ResidualData { distances, histogram: histogram(&ends), postures, pairs, grid, arrows, cells }, per_match))
 }
 
 fn histogram(ends: &[End]) -> Histogram {
