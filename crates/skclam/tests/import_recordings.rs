@@ -79,3 +79,29 @@ fn five_recordings_give_the_same_three_postures() {
         }
     }
 }
+
+/// Frames without headers, as librealsense wrote into its first .db3 files, are refused by name, with what to record instead.
+#[test]
+fn bare_frames_of_librealsense_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bare.mcap");
+    let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let schema = writer.add_schema("librealsense/raw_frame", "ros2msg", b"").unwrap();
+    let topic = "/device_0/sensor_1/Color_0/image/data";
+    let channel_id = writer.add_channel(schema, topic, "cdr", &Default::default()).unwrap();
+    for sequence in 0..3 {
+        let log_time = 1_000_000_000 * u64::from(sequence);
+        let header = mcap::records::MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        writer.write_to_known_channel(&header, &[7; 48]).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    let rig = skclam::rig::builtin_rig("hp3j").unwrap().unwrap();
+    let staged = StagedFolder::new(folder.path().join("out")).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    let error = import_recording(&mut recording, &rig, None, &ImportOptions::default(), &staged, &Silent).unwrap_err();
+    let message = error.to_string();
+    for word in [topic, "librealsense/raw_frame", "record as .bag"] {
+        assert!(message.contains(word), "{message}");
+    }
+}

@@ -41,6 +41,9 @@ fn content(topic: &Topic, kind: &ImageKind) -> Content {
     }
 }
 
+/// Frames of a RealSense camera without size, encoding or stamp: they stand as text on other topics.
+const REALSENSE_RAW: &str = "librealsense/raw_frame";
+
 /// Chooses the image topics: named ones, else the only ones of their content. A raw topic comes before its compressed
 /// copy, colour before grey.
 pub(super) fn choose(
@@ -84,7 +87,13 @@ pub(super) fn choose(
                     .filter(|(id, kind)| content(&topics[**id], kind) == Content::Unread)
                     .map(|(id, kind)| format!("{} ({})", topics[*id].name, kind.encoding))
                     .collect();
+                let raw = topics.iter().find(|topic| topic.type_name == REALSENSE_RAW);
                 let problem = match unread.is_empty() {
+                    true if raw.is_some() => format!(
+                        "the frames on {} are bare bytes ({REALSENSE_RAW}), as librealsense wrote into its first .db3 files; \
+                         record as .bag with the RealSense Viewer, or the camera's ROS topics with `ros2 bag record`",
+                        raw.map_or("", |topic| topic.name.as_str())
+                    ),
                     true => format!("there are none; the topics are {}", list(topics)),
                     false => format!("there are none that can be read, but {}", unread.join(", ")),
                 };
