@@ -13,7 +13,6 @@ use multiversion::multiversion;
 use nalgebra::Isometry3;
 use rayon::prelude::*;
 use skclam_geometry::PinholeCamera;
-use std::borrow::Cow;
 
 /// Pixels along the edge of a tile of [`Frame::farthest_in_tile`].
 pub(super) const TILE: usize = 16;
@@ -110,18 +109,18 @@ impl<'a> Frame<'a> {
 
         let window = NormalWindow::of_maps(thinning);
         let believed = BelievedRows::new(view, &options.filter, Some(rays), thinning);
-        let stride = InverseDepths::stride_of(width, window);
+        inverse.make_room(width, height, window);
         let bands = depth
             .par_chunks_mut(width * TILE)
-            .zip(inverse.bands_mut(width, height, TILE, window))
+            .zip(inverse.bands_mut(TILE))
             .zip(farthest_in_tile.par_chunks_mut(tiles_x))
             .enumerate();
-        let pixels = bands.map_init(RowScratch::default, |scratch, (band, ((rows, padded), tiles))| {
+        let pixels = bands.map_init(RowScratch::default, |scratch, (band, ((rows, mut inverse), tiles))| {
             let mut pixels = 0;
             tiles.fill(0.0);
-            for (y, (row, padded)) in rows.chunks_mut(width).zip(padded.chunks_mut(stride)).enumerate() {
+            for (y, row) in rows.chunks_mut(width).enumerate() {
                 believed.row(band * TILE + y, row, scratch);
-                window.invert(row, padded);
+                inverse.fill(y, row);
                 for (farthest, span) in tiles.iter_mut().zip(row.chunks(TILE)) {
                     *farthest = span.iter().fold(*farthest, |most, &z| if z > most { z } else { most });
                     pixels += span.iter().map(|z| u32::from(*z > 0.0)).sum::<u32>();
@@ -133,7 +132,7 @@ impl<'a> Frame<'a> {
         frame.farthest = farthest_in_tile.iter().fold(0.0, |most, &z| most.max(z));
 
         let search = Search::new(&frame, rays, farthest_in_tile, options);
-        let fitter = PatchFitter::with_inverse(depth, Cow::Borrowed(inverse), rays, &options.filter, window);
+        let fitter = PatchFitter::with_inverse(depth, inverse, rays, &options.filter, window);
         let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
         let noise = &options.filter.noise;
         let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
