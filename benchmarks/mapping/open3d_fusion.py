@@ -1,7 +1,8 @@
 """Open3D's VoxelBlockGrid on the CPU over a dataset at its known poses; one line of JSON on stdout.
 
-Same images, poses and voxel as `benchmark_fusion`; Open3D's defaults else (truncation 8 voxels, weight threshold 3 unless told otherwise).
-Usage: open3d_fusion.py DATASET VOXEL_MM OUT.ply [BLOCK_RESOLUTION] [PASSES] [WEIGHT_THRESHOLD]
+Same images, poses and voxel as `benchmark_fusion`; Open3D's defaults else (truncation 8 voxels, weight threshold 3).
+Usage: open3d_fusion.py DATASET VOXEL_MM OUT.ply [BLOCK_RESOLUTION] [PASSES] [OUT_OF_WEIGHT_1.ply]
+The last file gets the surface of all voxels that at least one image saw; the default asks for three.
 """
 
 import csv
@@ -43,7 +44,7 @@ def main():
     folder, voxel_mm, out = sys.argv[1], float(sys.argv[2]), sys.argv[3]
     resolution = int(sys.argv[4]) if len(sys.argv) > 4 else 16
     passes = int(sys.argv[5]) if len(sys.argv) > 5 else 1
-    threshold = float(sys.argv[6]) if len(sys.argv) > 6 else 3.0
+    out_of_weight_1 = sys.argv[6] if len(sys.argv) > 6 else None
     rig = tomllib.load(open(os.path.join(folder, "rig.toml"), "rb"))
     shift = rig["depth"].get("color_from_depth")
     color_from_depth = matrix(np.array(shift["translation_mm"]) / 1000, shift["quaternion_xyzw"]) if shift else np.eye(4)
@@ -92,14 +93,14 @@ def main():
     integrate_cpu_ms = (time.process_time() - cpu_start) * 1000 / len(times)
     integrated_mib = memory_mib("VmHWM:")
     start, cpu_start = time.perf_counter(), time.process_time()
-    mesh = grid.extract_triangle_mesh(weight_threshold=threshold)
+    mesh = grid.extract_triangle_mesh(weight_threshold=3.0)
     extract_ms = (time.perf_counter() - start) * 1000
     extract_cpu_ms = (time.process_time() - cpu_start) * 1000
     peak_mib = memory_mib("VmHWM:")
     print(
         json.dumps(
             {
-                "program": f"open3d {o3d.__version__}, blocks of {resolution}^3, weight >= {threshold:g}",
+                "program": f"open3d {o3d.__version__}, blocks of {resolution}^3",
                 "voxel_mm": voxel_mm,
                 "images": len(times),
                 "integrate_cpu_ms": round(integrate_cpu_ms, 2),
@@ -118,8 +119,9 @@ def main():
             }
         )
     )
-    legacy = mesh.to_legacy()
-    o3d.io.write_triangle_mesh(out, legacy)
+    o3d.io.write_triangle_mesh(out, mesh.to_legacy())
+    if out_of_weight_1:
+        o3d.io.write_triangle_mesh(out_of_weight_1, grid.extract_triangle_mesh(weight_threshold=1.0).to_legacy())
 
 
 main()

@@ -8,10 +8,11 @@
 //! What does not depend on the pose (which pixels are believed, their normals and colours) is found once an image, so
 //! that a second map at other poses costs only its voxels: [`CloudBuilder::points`] and [`CloudBuilder::add_points`].
 
+use crate::cloud_cell::{Cell, FinishedPoint, NEUTRAL_GREY, Shard, to_byte};
 use crate::rays::Rays;
 use crate::view::check_isometry;
 use crate::view_points::{ViewPoint, ViewPoints};
-use crate::voxel::{VoxelKey, VoxelMap};
+use crate::voxel::VoxelKey;
 use crate::{DepthFilter, Error, PointCloud, View};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -20,8 +21,8 @@ use skclam_geometry::{Isometry3, Point3};
 use std::mem::size_of;
 
 const SHARD_BITS: u32 = 6;
-/// Colour of points that no colour image shows.
-const NEUTRAL_GREY: f32 = 128.0;
+/// Points that are finished side by side before they join the cloud.
+const FINISHED_TOGETHER: usize = 1 << 16;
 
 /// What becomes of points that the colour image does not show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -90,86 +91,14 @@ impl Default for CloudOptions {
     }
 }
 
-/// Weighted sums over one voxel; positions relative to its corner keep single precision harmless.
-#[derive(Clone, Copy, Default)]
-struct Cell {
-    offset: [f32; 3],
-    weight: f32,
-    normal: [f32; 3],
-    color: [f32; 3],
-    color_weight: f32,
-    pixels: u32,
-}
-
 /// Takes views one by one and ends as a [`PointCloud`].
 #[derive(Debug)]
 pub struct CloudBuilder {
     options: CloudOptions,
     rays: Option<Rays>,
-    shards: Vec<VoxelMap<Cell>>,
+    shards: Vec<Shard>,
     raw: PointCloud,
     views: usize,
-}
-
-/// The mean of a cell.
-struct FinishedPoint {
-    point: [f32; 3],
-    color: [u8; 3],
-    normal: [f32; 3],
-}
-
-impl Cell {
-    fn finish(&self, key: VoxelKey, voxel_m: f64, options: &CloudOptions) -> Option<FinishedPoint> {
-        if self.pixels < options.min_pixels_per_voxel {
-            return None;
-        }
-        let color = if self.color_weight > 0.0 {
-            self.color.map(|sum| sum / self.color_weight)
-        } else if options.uncolored == UncoloredPoints::Grey {
-            [NEUTRAL_GREY; 3]
-        } else {
-            return None;
-        };
-        let corner = key.index();
-        let point = std::array::from_fn(|axis| {
-            (f64::from(corner[axis]) * voxel_m + f64::from(self.offset[axis] / self.weight)) as f32
-        });
-        Some(FinishedPoint { point, color: color.map(to_byte), normal: unit_or_up(self.normal) })
-    }
-
-    #[inline]
-    fn add(&mut self, offset: [f32; 3], normal: [f32; 3], weight: f32, color: Option<[f32; 3]>) {
-        for axis in 0..3 {
-            self.offset[axis] += weight * offset[axis];
-            self.normal[axis] += weight * normal[axis];
-        }
-        self.weight += weight;
-        self.pixels += 1;
-        if let Some(color) = color {
-            for (sum, value) in self.color.iter_mut().zip(color) {
-                *sum += weight * value;
-            }
-            self.color_weight += weight;
-        }
-    }
-
-    #[inline]
-    fn merge(&mut self, other: &Cell) {
-        for axis in 0..3 {
-            self.offset[axis] += other.offset[axis];
-            self.normal[axis] += other.normal[axis];
-            self.color[axis] += other.color[axis];
-        }
-        self.weight += other.weight;
-        self.color_weight += other.color_weight;
-        self.pixels += other.pixels;
-    }
-}
-
-impl std::fmt::Debug for Cell {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Cell({} px)", self.pixels)
-    }
 }
 
 impl CloudBuilder {
@@ -182,7 +111,7 @@ impl CloudBuilder {
             let need = "at least 0.00001 m is needed, or none to keep every point";
             return Err(Error::Option { option: "voxel_m", value: voxel_m.to_string(), need });
         }
-        let shards = (0..1 << SHARD_BITS).map(|_| VoxelMap::default()).collect();
+        let shards = (0..1 << SHARD_BITS).map(|_| Shard::default()).collect();
         Ok(CloudBuilder { options, rays: None, shards, raw: PointCloud::default(), views: 0 })
     }
 
@@ -221,7 +150,7 @@ impl CloudBuilder {
 
     /// Number of points so far.
     pub fn len(&self) -> usize {
-        self.raw.len() + self.shards.iter().map(VoxelMap::len).sum::<usize>()
+        self.raw.len() + self.shards.iter().map(Shard::len).sum::<usize>()
     }
 
     /// Whether there is no point yet.
@@ -235,20 +164,27 @@ impl CloudBuilder {
         let Some(voxel_m) = options.voxel_m else {
             return raw;
         };
-        let mut points: Vec<(VoxelKey, FinishedPoint)> = Vec::with_capacity(shards.iter().map(VoxelMap::len).sum());
-        // Shard by shard, so that the sums and the points are never both there as a whole.
-        for shard in shards {
-            points
-                .extend(shard.into_iter().filter_map(|(key, cell)| Some((key, cell.finish(key, voxel_m, &options)?))));
-        }
-        points.par_sort_unstable_by_key(|(key, _)| *key);
-        let mut cloud = PointCloud {
-            points: points.par_iter().map(|(_, point)| point.point).collect(),
-            colors: points.par_iter().map(|(_, point)| point.color).collect(),
-            normals: Vec::new(),
-        };
+        // Each table goes as soon as it is read: only the sums and the points are ever both there as a whole.
+        let mut order: Vec<(VoxelKey, u32)> = Vec::with_capacity(shards.iter().map(Shard::len).sum());
+        let cells: Vec<Vec<Cell>> = shards.into_iter().map(|shard| shard.split_into(&mut order)).collect();
+        order.par_sort_unstable_by_key(|(key, _)| *key);
+        let finished =
+            |(key, place): (VoxelKey, u32)| cells[key.shard(SHARD_BITS)][place as usize].finish(key, voxel_m, &options);
+        let mut cloud = PointCloud::default();
+        cloud.points.reserve_exact(order.len());
+        cloud.colors.reserve_exact(order.len());
         if options.normals == PointNormals::Fitted {
-            cloud.normals = points.into_par_iter().map(|(_, point)| point.normal).collect();
+            cloud.normals.reserve_exact(order.len());
+        }
+        for part in order.chunks(FINISHED_TOGETHER) {
+            let points: Vec<Option<FinishedPoint>> = part.par_iter().copied().map(finished).collect();
+            for point in points.into_iter().flatten() {
+                cloud.points.push(point.point);
+                cloud.colors.push(point.color);
+                if options.normals == PointNormals::Fitted {
+                    cloud.normals.push(point.normal);
+                }
+            }
         }
         cloud
     }
@@ -270,15 +206,14 @@ impl CloudBuilder {
             points.bands.par_iter().map(|band| deal(band, base_from_color, voxel_m)).collect::<Result<_, Error>>()?;
         self.shards.par_iter_mut().enumerate().for_each(|(shard, cells)| {
             for (key, part) in dealt.iter().flat_map(|band| &band[shard]) {
-                cells.entry(*key).or_default().merge(part);
+                cells.at(*key).merge(part);
             }
         });
         Ok(())
     }
 
     fn check_memory(&self) -> Result<(), Error> {
-        // A hash table keeps up to twice as many places as it has entries, and one byte more for each.
-        let table: usize = self.shards.iter().map(|shard| shard.capacity() * (size_of::<(VoxelKey, Cell)>() + 1)).sum();
+        let table: usize = self.shards.iter().map(Shard::memory_bytes).sum();
         let raw = self.raw.points.capacity() * size_of::<[f32; 3]>() + self.raw.colors.capacity() * 3;
         let raw = raw + self.raw.normals.capacity() * size_of::<[f32; 3]>();
         if (table + raw) as u64 > self.options.memory_limit_mib << 20 {
@@ -321,16 +256,6 @@ fn deal(band: &[ViewPoint], base_from_color: &Isometry3, voxel_m: f64) -> Result
         dealt[key.shard(SHARD_BITS)].push((key, cell));
     }
     Ok(dealt)
-}
-
-/// Normals of opposite sides of a thin thing may cancel out; any unit vector is better than none then.
-fn unit_or_up(sum: [f32; 3]) -> [f32; 3] {
-    let norm = sum.iter().map(|value| value * value).sum::<f32>().sqrt();
-    if norm > 1e-6 { sum.map(|value| value / norm) } else { [0.0, 0.0, 1.0] }
-}
-
-pub(crate) fn to_byte(value: f32) -> u8 {
-    value.round().clamp(0.0, 255.0) as u8
 }
 
 #[cfg(test)]

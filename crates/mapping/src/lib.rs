@@ -17,6 +17,7 @@ mod believed;
 mod bodies;
 mod cloud;
 mod cloud_builder;
+mod cloud_cell;
 mod color_lookup;
 mod depth_filter;
 mod error;

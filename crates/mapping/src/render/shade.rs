@@ -2,7 +2,7 @@
 
 use super::raster::Canvas;
 use super::{Projection, RenderCamera, RenderOptions};
-use crate::cloud_builder::to_byte;
+use crate::cloud_cell::to_byte;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 

@@ -5,7 +5,7 @@
 //! voxels, and then every block writes its triangles.
 
 use super::table::{EDGES, TRIANGLES};
-use crate::cloud_builder::to_byte;
+use crate::cloud_cell::to_byte;
 use crate::tsdf::{BLOCK_EDGE, Block};
 use crate::voxel::{VoxelKey, VoxelMap};
 use crate::{PointCloud, TriangleMesh, Tsdf};
