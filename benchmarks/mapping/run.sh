@@ -25,7 +25,9 @@ log=$work/log.jsonl
 measure() {
     name=$1
     shift
-    "$@" > "$work/line.json"
+    # Open3D says more than our line.
+    "$@" > "$work/output.txt"
+    grep "^{" "$work/output.txt" > "$work/line.json"
     printf '{"name": "%s", "result": %s}\n' "$name" "$(cat "$work/line.json")" | tee -a "$log"
 }
 ours() {
