@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     match dispatch(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", screen::told(error.chain()));
             ExitCode::FAILURE
         }
     }

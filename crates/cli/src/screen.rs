@@ -15,6 +15,20 @@ pub fn table(header: &[&str]) -> Table {
     table
 }
 
+/// An error and its causes in one line, each said once: many messages hold that of their cause already.
+pub fn told<E: std::fmt::Display>(chain: impl IntoIterator<Item = E>) -> String {
+    chain.into_iter().fold(String::new(), |mut told, error| {
+        let error = error.to_string();
+        if !told.contains(error.trim()) {
+            if !told.is_empty() {
+                told += ": ";
+            }
+            told += error.trim_end();
+        }
+        told
+    })
+}
+
 /// A number of a table; in powers of ten where it would burst its column.
 pub fn fixed(value: f64, decimals: usize) -> String {
     if value.abs() < 1e7 { format!("{value:.decimals$}") } else { format!("{value:.1e}") }
@@ -42,6 +56,13 @@ pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_cause_is_said_once() {
+        let file = "cell/a.jpg: not found";
+        assert_eq!(told(["calibration: too few", "too few"]), "calibration: too few");
+        assert_eq!(told(["out.json", file, "not found\n", "os error 2"]), format!("out.json: {file}: os error 2"));
+    }
 
     #[test]
     fn no_number_bursts_its_column() {

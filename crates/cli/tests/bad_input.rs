@@ -21,13 +21,15 @@ fn refused(folder: &Path, expected: &[&str]) {
 fn missing_and_truncated_files() {
     let copy = small_copy(4);
     fs::remove_file(copy.path().join("color/002.jpg")).unwrap();
-    refused(copy.path(), &["color/002.jpg"]);
+    refused(copy.path(), &["postures.csv, line 4", "posture 2", "color/002.jpg is not there"]);
 
     let copy = small_copy(4);
     let image = copy.path().join("color/001.jpg");
     let bytes = fs::read(&image).unwrap();
     fs::write(&image, &bytes[..200]).unwrap();
     refused(copy.path(), &["color/001.jpg"]);
+    fs::write(&image, &bytes[..bytes.len() - 500]).unwrap();
+    refused(copy.path(), &["color/001.jpg", "breaks off"]);
 
     let copy = small_copy(4);
     let depth = copy.path().join("depth/003.png");
@@ -64,6 +66,25 @@ fn numbers_that_are_none() {
     let copy = small_copy(3);
     edit(copy.path(), "postures.csv", "\n1,1.000000,", "\n1,1.000000,nan");
     refused(copy.path(), &["postures.csv", "line 3", "q1_deg"]);
+}
+
+#[test]
+fn a_joint_without_a_column_is_named_once() {
+    let copy = small_copy(3);
+    let table = fs::read_to_string(copy.path().join("postures.csv")).unwrap();
+    let header: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+    let dropped = header.iter().position(|name| *name == "q6_deg").unwrap();
+    let without = |line: &str| {
+        let cells: Vec<&str> =
+            line.split(',').enumerate().filter(|(at, _)| *at != dropped).map(|(_, cell)| cell).collect();
+        cells.join(",") + "\n"
+    };
+    fs::write(copy.path().join("postures.csv"), table.lines().map(without).collect::<String>()).unwrap();
+    refused(copy.path(), &["line 1", "no column q6_deg"]);
+
+    let empty = tempfile::tempdir().unwrap();
+    let message = fail(&["run", utf8(empty.path()), "--out", utf8(&empty.path().join("out")), "--quiet"]);
+    assert!(message.contains("no rig.toml in it") && message.contains("skclam import"), "{message}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use clap::{Args, ValueHint};
 use serde::Serialize;
 use skclam::dataset::Dataset;
 use skclam::export::{ExportOptions, Exported, UrdfSource, export as write_export};
-use skclam::kinematics::urdf_ends;
+use skclam::kinematics::{chain_from_urdf, urdf_ends};
 use skclam::output::StagedFolder;
 use skclam::result_recording::{RecordedResult, ResultRecordingOptions, record_result};
 use skclam::rig::Rig;
@@ -170,5 +170,7 @@ fn urdf_source(path: &Path, args: &ExportArgs) -> Result<UrdfSource> {
     };
     let base_link = choose("--base-link", &args.base_link, bases)?;
     let tip_link = choose("--tip-link", &args.tip_link, tips)?;
+    // Links that are not there are told with the file's name.
+    chain_from_urdf(&text, &base_link, &tip_link).with_context(|| shown.to_string())?;
     Ok(UrdfSource { text, base_link, tip_link })
 }

@@ -5,11 +5,12 @@ use crate::commands::simulate::rig as builtin_or_file;
 use crate::progress::Screen;
 use crate::screen;
 use anyhow::{Context, Result, bail};
-use clap::{Args, ValueHint};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, ValueHint};
 use skclam::import::{CameraSource, DepthChoice, ImportOptions, import_recording, read_joint_log};
 use skclam::output::StagedFolder;
 use skclam::recordings::{Recording, Selection, SelectionOptions};
-use skclam::rig::Rig;
+use skclam::rig::{Rig, builtin_names};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `import`.
@@ -22,7 +23,7 @@ pub struct ImportArgs {
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
     /// Rig file with the arm and the mount; its cameras stand where the recording has no CameraInfo.
-    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot", required_unless_present = "robot")]
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot")]
     pub rig: Option<PathBuf>,
     /// A built-in robot by name (ur5e, franka-fr3, ...): its mount is a guess that you should replace.
     #[arg(long, value_name = "NAME")]
@@ -73,7 +74,16 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     let rig = match (&args.rig, &args.robot) {
         (Some(path), _) => Rig::read(path)?,
         (None, Some(name)) => builtin_or_file(name)?,
-        (None, None) => bail!("name the arm with --rig or --robot"),
+        // Wrong use, told as clap tells it, with both ways out.
+        (None, None) => Cli::command()
+            .error(
+                ErrorKind::MissingRequiredArgument,
+                format!(
+                    "the arm is missing: --rig RIG (a rig file), or --robot NAME (built in: {})",
+                    builtin_names().collect::<Vec<_>>().join(", ")
+                ),
+            )
+            .exit(),
     };
     let joint_log = match (&args.joints, &rig.robot) {
         (Some(path), Some(robot)) => Some(read_joint_log(path, robot, args.joint_offset_s)?),

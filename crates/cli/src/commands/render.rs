@@ -16,6 +16,10 @@ const GAP: u32 = 12;
 /// Draws a map, or two from the same place.
 pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     let options = RenderOptions { point_radius_m: args.point_radius_mm * 1e-3, ..RenderOptions::default() };
+    let ending = args.out.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    if !["png", "jpg", "jpeg"].contains(&ending.as_str()) {
+        bail!("--out {}: pictures are written as PNG or JPEG; end the name in .png or .jpg", args.out.display());
+    }
     let model = read(&args.map)?;
     let camera = camera(args, &model)?;
     let mut picture = draw(&model, &camera, &options)?;
@@ -24,10 +28,13 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
         picture = side_by_side(&picture, &second, GAP, options.background);
     }
     // Written beside its place first, so that no half a picture stands there.
-    let ending = args.out.extension().and_then(|ending| ending.to_str()).unwrap_or("png");
     let partial = args.out.with_extension(format!("partial.{ending}"));
-    picture.save(&partial).with_context(|| partial.display().to_string())?;
-    std::fs::rename(&partial, &args.out).with_context(|| args.out.display().to_string())?;
+    let written = picture.save(&partial).map_err(anyhow::Error::from);
+    if let Err(error) = written.and_then(|()| Ok(std::fs::rename(&partial, &args.out)?)) {
+        // Half a picture is of no use; that it cannot be removed either changes nothing.
+        let _ = std::fs::remove_file(&partial);
+        return Err(error.context(args.out.display().to_string()));
+    }
     if cli.json {
         println!(
             "{}",

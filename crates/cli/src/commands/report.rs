@@ -71,8 +71,12 @@ fn write_whole(path: &Path, text: &str) -> Result<()> {
     let mut name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?.to_owned();
     name.push(format!(".partial-{}", std::process::id()));
     let partial = path.with_file_name(name);
-    std::fs::write(&partial, text).with_context(|| path.display().to_string())?;
-    std::fs::rename(&partial, path).with_context(|| path.display().to_string())
+    let written = std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, path));
+    if written.is_err() {
+        // It may not be there; then nothing is left behind either.
+        let _ = std::fs::remove_file(&partial);
+    }
+    written.with_context(|| path.display().to_string())
 }
 
 fn show(comparison: &Comparison) {

@@ -14,6 +14,14 @@ pub enum DatasetError {
         /// What was asked for.
         path: PathBuf,
     },
+    /// The folder lacks what a dataset is made of.
+    #[error("{}: there is no {file} in it; a dataset is a folder with rig.toml, postures.csv, color/ and depth/ (`skclam import` makes one of a recording)", path.display())]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+        /// The file.
+        file: &'static str,
+    },
     /// The rig's file.
     #[error(transparent)]
     Rig(#[from] RigFileError),

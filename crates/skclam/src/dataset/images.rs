@@ -1,7 +1,8 @@
 //! Decoding of colour and depth images, checked against the rig's cameras before any pixel is decoded.
 
 use super::DatasetError;
-use image::{DynamicImage, GrayImage, ImageReader, RgbImage};
+use super::jpeg::ends;
+use image::{DynamicImage, GrayImage, ImageFormat, ImageReader, RgbImage};
 use skclam_geometry::{DepthCamera, DepthImage, PinholeCamera};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
@@ -37,7 +38,15 @@ pub(super) fn check_header(path: &Path, camera: &PinholeCamera, table: &'static 
 
 fn decode(path: &Path, camera: &PinholeCamera, table: &'static str) -> Result<DynamicImage, DatasetError> {
     check_header(path, camera, table)?;
-    open(path)?.decode().map_err(|error| problem(path, error))
+    let reader = open(path)?;
+    // The decoder fills in grey where a JPEG breaks off; a PNG it refuses by itself.
+    if reader.format() == Some(ImageFormat::Jpeg) {
+        let file = File::open(path).map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
+        if !ends(BufReader::new(file)).map_err(|source| DatasetError::Io { path: path.to_owned(), source })? {
+            return Err(problem(path, "the JPEG breaks off: it has no end marker; copy or record the image again"));
+        }
+    }
+    reader.decode().map_err(|error| problem(path, error))
 }
 
 pub(super) fn read_color(path: &Path, camera: &PinholeCamera) -> Result<RgbImage, DatasetError> {

@@ -5,6 +5,7 @@
 
 mod error;
 mod images;
+mod jpeg;
 mod postures;
 mod self_filter;
 
@@ -15,6 +16,7 @@ pub use self_filter::{SelfFilter, SelfFilterOptions};
 
 use image::{GrayImage, RgbImage};
 use skclam_geometry::DepthImage;
+use skclam_kinematics::JointKind;
 use skclam_rig::{PostureState, Rig};
 use std::path::{Path, PathBuf};
 
@@ -39,13 +41,20 @@ impl Dataset {
         if !folder.is_dir() {
             return Err(DatasetError::NoFolder { path: folder.to_owned() });
         }
+        if !rig_path.exists() {
+            return Err(DatasetError::Missing { path: folder.to_owned(), file: "rig.toml" });
+        }
         Self::open_with_rig(folder, Rig::read(rig_path)?)
     }
 
     /// Opens a folder with another rig in place of the one that lies in it.
     pub fn open_with_rig(folder: impl AsRef<Path>, rig: Rig) -> Result<Dataset, DatasetError> {
         let folder = folder.as_ref();
-        let records = read_postures(&folder.join("postures.csv"))?;
+        let table = folder.join("postures.csv");
+        if folder.is_dir() && !table.exists() {
+            return Err(DatasetError::Missing { path: folder.to_owned(), file: "postures.csv" });
+        }
+        let records = read_postures(&table)?;
         let dataset = Dataset { folder: folder.to_owned(), rig, records, self_filter: None };
         dataset.check()?;
         Ok(dataset)
@@ -106,7 +115,19 @@ impl Dataset {
         if self.records.len() < 2 {
             return Err(DatasetError::TooFewPostures { path: table, got: self.records.len() });
         }
+        self.check_joint_columns(&table)?;
         for (row, record) in self.records.iter().enumerate() {
+            for image in [Some(&record.color), record.depth.as_ref()].into_iter().flatten() {
+                // Whether it can be read is told when its header is.
+                if matches!(self.folder.join(image).try_exists(), Ok(false)) {
+                    let (index, image) = (record.posture.index, image.display());
+                    let problem = format!(
+                        "posture {index}: {image} is not there; paths are relative to {}",
+                        self.folder.display()
+                    );
+                    return Err(DatasetError::Table { path: table, line: row + 2, problem });
+                }
+            }
             self.rig.base_from_color(&record.posture).map_err(|source| DatasetError::Posture {
                 path: table.clone(),
                 line: row + 2,
@@ -121,5 +142,28 @@ impl Dataset {
             }
         }
         Ok(())
+    }
+
+    /// The table has a column for each of the arm's joints.
+    fn check_joint_columns(&self, table: &Path) -> Result<(), DatasetError> {
+        let (Some(robot), PostureState::Joints(values)) = (&self.rig.robot, &self.records[0].posture.state) else {
+            return Ok(());
+        };
+        let (need, got) = (robot.joint_count(), values.len());
+        if need == got {
+            return Ok(());
+        }
+        let column = |at: usize| match robot.joints().get(at).map(|joint| joint.kind) {
+            Some(JointKind::Prismatic) => format!("q{}_mm", at + 1),
+            _ => format!("q{}_deg", at + 1),
+        };
+        let names: Vec<String> = (need.min(got)..need.max(got)).map(column).collect();
+        let names = names.join(", ");
+        let problem = if got < need {
+            format!("the rig's arm has {need} joints, and there is no column {names}")
+        } else {
+            format!("the rig's arm has {need} joints; {names} belongs to none")
+        };
+        Err(DatasetError::Table { path: table.to_owned(), line: 1, problem })
     }
 }
