@@ -9,8 +9,23 @@
   const font = { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif", size: 12 };
   const quiet = { displayModeBar: false, responsive: true };
   const charts = json("charts-data");
-  const layoutOf = (chart) => {
+  // Plots side by side need room for their titles: two in a row on a narrow screen.
+  const narrowed = (layout, place) => {
+    if (!layout.grid || layout.grid.columns < 3 || place.clientWidth > 560) return;
+    const count = Object.keys(layout).filter((key) => key.startsWith("xaxis")).length;
+    const title = layout.yaxis.title.text;
+    layout.grid.columns = 2;
+    layout.grid.rows = Math.ceil(count / 2);
+    for (let k = 0; k < count; k++) {
+      const suffix = k ? k + 1 : "";
+      layout[`yaxis${suffix}`].title.text = k % 2 ? "" : title;
+      layout[`xaxis${suffix}`].title.font = { size: 11 };
+    }
+    place.style.height = `${60 + 210 * layout.grid.rows}px`;
+  };
+  const layoutOf = (chart, place) => {
     const layout = structuredClone(chart.layout);
+    narrowed(layout, place);
     const margin = { l: 58, r: 12, t: 30, b: 48 };
     Object.assign(layout, { font, margin, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true, hovermode: "closest" });
     layout.hoverlabel = { bgcolor: "#2b3440", bordercolor: "#2b3440", font: { ...font, color: "#ffffff" } };
@@ -19,7 +34,7 @@
   };
   for (const chart of charts) {
     const place = byId(chart.id);
-    if (place) Plotly.newPlot(place, chart.data, layoutOf(chart), quiet);
+    if (place) Plotly.newPlot(place, chart.data, layoutOf(chart, place), quiet);
   }
 
   // The 3D view.
@@ -88,18 +103,38 @@
     picture.className = "paper";
     picture.alt = "The 3D view";
     let asked = 0;
-    const snapshot = async () => {
+    const snapshot = async (delay = 700) => {
       const mine = ++asked;
-      await new Promise((done) => setTimeout(done, 700));
+      await new Promise((done) => setTimeout(done, delay));
       if (mine !== asked) return;
       const layout = { ...place.layout, width: 900, height: 480, autosize: false, paper_bgcolor: "#ffffff", font: { ...font, size: 12, color: "#000000" } };
       layout.scene = { ...place.layout.scene, ...axes("#000000", "#bbbbbb"), camera: place._fullLayout.scene.camera };
       const url = await Plotly.toImage({ data: place.data, layout }, { format: "jpeg", width: 900, height: 480, scale: 1.5 });
       if (mine === asked) {
         picture.src = url;
+        await picture.decode().catch(() => {});
         if (!picture.isConnected) place.after(picture);
+        hasty?.remove();
       }
     };
+    // Whoever prints before that picture is there gets what the screen shows, taken over at once.
+    let hasty = null;
+    addEventListener("beforeprint", () => {
+      const glplot = place._fullLayout?.scene?._scene?.glplot;
+      if (picture.isConnected || !glplot) return;
+      glplot.redraw();
+      const shown = glplot.gl.canvas;
+      hasty?.remove();
+      hasty = document.createElement("canvas");
+      hasty.className = "paper";
+      hasty.width = shown.width;
+      hasty.height = shown.height;
+      const context = hasty.getContext("2d");
+      context.fillStyle = "#ffffff";
+      context.fillRect(0, 0, hasty.width, hasty.height);
+      context.drawImage(shown, 0, 0);
+      place.after(hasty);
+    });
     const draw = () => {
       const rig = choice("poses") || "calibrated";
       const tint = { nominal: color("--nominal"), calibrated: color("--calibrated") };
@@ -114,10 +149,11 @@
       };
       const said = byId("scene-said");
       if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "disagreement of the surfaces" }[choice("color")]}` : ""}.`;
-      snapshot();
+      // The first picture soon, later ones when the hand rests.
+      snapshot(asked ? 700 : 50);
       return Plotly.react(place, data, layout, { displayModeBar: false, responsive: true });
     };
-    draw().then(() => place.on("plotly_relayout", snapshot));
+    draw().then(() => place.on("plotly_relayout", () => snapshot()));
     document.querySelectorAll(".switches input").forEach((input) => input.addEventListener("change", draw));
     dark.addEventListener("change", draw);
 
@@ -141,12 +177,27 @@
     });
   }
 
-  // Paper: charts as wide as the page, whatever the screen was.
+  // The command that repeats the run, with the folder that the page lies in.
+  const folder = byId("result-folder");
+  if (folder && location.protocol === "file:") {
+    const here = decodeURIComponent(location.pathname).replace(/^\/([A-Za-z]:)/, "$1").replace(/\/[^/]*$/, "");
+    if (here) folder.textContent = /^[\w\-./+:,=@%]+$/.test(here) ? here : `'${here.replaceAll("'", "'\\''")}'`;
+  }
+
+  // Paper: charts as wide as the page and lower than on the screen, whatever that was, so that pages fill.
   const paper = (on) => {
     for (const plot of document.querySelectorAll(".plot")) {
       if (!plot._fullLayout || plot.id === "view3d") continue;
-      if (on) Plotly.relayout(plot, { width: plot.closest(".pair") ? 330 : 670 });
-      else Plotly.relayout(plot, { width: undefined, autosize: true });
+      if (on) {
+        plot.dataset.height = plot.style.height;
+        const wanted = parseFloat(plot.style.height) * (plot.closest(".pair") ? 0.75 : 0.78);
+        const most = parseFloat(plot.style.maxWidth) || Infinity;
+        plot.style.height = `${wanted}px`;
+        Plotly.relayout(plot, { width: plot.closest(".pair") ? 330 : Math.min(670, most * 0.85), height: wanted });
+      } else {
+        plot.style.height = plot.dataset.height;
+        Plotly.relayout(plot, { width: undefined, height: undefined, autosize: true });
+      }
     }
   };
   addEventListener("beforeprint", () => { document.querySelectorAll("details").forEach((d) => { d.dataset.was = d.open ? "1" : ""; d.open = true; }); paper(true); });

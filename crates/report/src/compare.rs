@@ -1,4 +1,5 @@
-//! Several runs side by side: two days, two presets, two robots. Rows go by name; where a run has no such row, its place is empty.
+//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free stands there as it was held; where it has no
+//! such row at all, its place is empty. Parameters of one arm are held against each other in sigmas, those of two arms are not.
 
 use crate::RunResult;
 use crate::figures::{CALIBRATED, Chart, Digits, NOMINAL, number};
@@ -7,6 +8,9 @@ use crate::judgement::judge;
 use crate::page::{Section, assemble};
 use serde::Serialize;
 use serde_json::json;
+use skclam::calibration::{Model, Parameter};
+use skclam::rig::Rig;
+use skclam::summary::file_unit;
 
 /// Runs side by side, as a table of tables.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -24,6 +28,10 @@ pub struct ComparedRun {
     pub name: String,
     /// Its rig.
     pub rig: String,
+    /// The data set's folder as the run named it; `None` where the result does not tell.
+    pub dataset: Option<String>,
+    /// Why its arm is another than the first run's; `None` for the first, and for the same arm.
+    pub another_arm: Option<String>,
     /// What its traffic light says.
     pub light: String,
     /// Its verdict.
@@ -57,9 +65,12 @@ pub struct Cell {
     pub value: f64,
     /// Its standard deviation, for parameters that have one.
     pub sigma: Option<f64>,
+    /// Whether it is a parameter that the run did not free.
+    pub held: bool,
     /// As it is shown.
     pub text: String,
-    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, and where a sigma is missing.
+    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, where a sigma is missing, and
+    /// where the arm is another.
     pub apart_sigmas: Option<f64>,
 }
 
@@ -85,11 +96,18 @@ const FIGURES: [(&str, &str, &str, Digits); 18] = [
 ];
 
 impl Comparison {
-    /// Compares; the first run is the one that the others are held against.
-    pub fn of(runs: &[RunResult]) -> Self {
-        let compared = runs.iter().map(|run| ComparedRun {
+    /// Compares; the first run is the one that the others are held against. `rigs`: the calibrated rigs of the runs (`rig.toml`), which tell what was
+    /// held; `None`, or nothing at all, where there is none.
+    pub fn of(runs: &[RunResult], rigs: &[Option<Rig>]) -> Self {
+        let mut parameters = parameters(runs);
+        add_held(&mut parameters, rigs);
+        let arms: Vec<Option<String>> = (0..runs.len()).map(|at| another_arm(&parameters, rigs, at)).collect();
+        hold_against_first(&mut parameters, &arms);
+        let compared = runs.iter().zip(&arms).map(|(run, another_arm)| ComparedRun {
             name: run.name.clone(),
             rig: run.text("/rig").to_owned(),
+            dataset: run.data.as_ref().map(|data| data.dataset.clone()),
+            another_arm: another_arm.clone(),
             light: judge(run).light.word().to_owned(),
             verdict: run.text("/verdict").to_owned(),
         });
@@ -100,12 +118,11 @@ impl Comparison {
                 .iter()
                 .map(|run| {
                     let value = run.number(pointer)?;
-                    Some(Cell { value, sigma: None, text: number(value, *digits), apart_sigmas: None })
+                    Some(Cell { value, sigma: None, held: false, text: number(value, *digits), apart_sigmas: None })
                 })
                 .collect(),
         });
         let figures = figures.filter(|row| row.cells.iter().any(Option::is_some)).collect();
-        let parameters = parameters(runs);
         let mut groups = vec![Group { title: "figure".to_owned(), rows: figures }];
         if !parameters.is_empty() {
             groups.push(Group { title: "parameter".to_owned(), rows: parameters });
@@ -114,7 +131,7 @@ impl Comparison {
     }
 }
 
-/// All parameters of all runs, in the order in which they are first met.
+/// All free parameters of all runs, in the order in which they are first met.
 fn parameters(runs: &[RunResult]) -> Vec<Row> {
     let mut rows: Vec<Row> = Vec::new();
     for (at, run) in runs.iter().enumerate() {
@@ -129,19 +146,71 @@ fn parameters(runs: &[RunResult]) -> Vec<Row> {
             });
             let sigma = parameter["sigma"].as_f64();
             rows[place].cells[at] =
-                Some(Cell { value, sigma, text: number(value, Digits::Decimals(4)), apart_sigmas: None });
+                Some(Cell { value, sigma, held: false, text: number(value, Digits::Decimals(4)), apart_sigmas: None });
         }
     }
-    for row in &mut rows {
+    rows
+}
+
+/// What a run did not free, as its rig has it.
+fn add_held(rows: &mut [Row], rigs: &[Option<Rig>]) {
+    for row in rows {
+        let Ok(parameter) = row.name.parse::<Parameter>() else { continue };
+        let (factor, unit) = file_unit(parameter.unit());
+        for (cell, rig) in row.cells.iter_mut().zip(rigs) {
+            let (None, Some(rig)) = (&cell, rig) else { continue };
+            let value = Model::new(rig.clone()).value(rig, parameter).filter(|_| unit == row.unit);
+            *cell = value.map(|value| {
+                let value = factor * value;
+                Cell { value, sigma: None, held: true, text: number(value, Digits::Decimals(4)), apart_sigmas: None }
+            });
+        }
+    }
+}
+
+/// Parameters of one arm after two calibrations are not farther apart, deg and mm.
+const SAME_ARM: [(&str, f64); 2] = [("deg", 5.0), ("mm", 30.0)];
+
+/// What tells that a run's arm is not that of the first.
+fn another_arm(rows: &[Row], rigs: &[Option<Rig>], at: usize) -> Option<String> {
+    let joints = |at: usize| Some(rigs.get(at)?.as_ref()?.robot.as_ref()?.joint_count());
+    if let (Some(first), Some(other)) = (joints(0), joints(at))
+        && first != other
+    {
+        return Some(format!("it has {other} joints, and that of the first has {first}"));
+    }
+    rows.iter().filter(|row| matches!(row.name.parse(), Ok(Parameter::Chain(_)))).find_map(|row| {
+        let limit = SAME_ARM.iter().find(|(unit, _)| *unit == row.unit)?.1;
+        let apart = (row.cells[at].as_ref()?.value - row.cells[0].as_ref()?.value).abs();
+        // A whole turn is none.
+        let apart = if row.unit == "deg" { (apart + 180.0).rem_euclid(360.0) - 180.0 } else { apart }.abs();
+        (apart > limit)
+            .then(|| format!("{} differs by {} {}", row.name, number(apart, Digits::Significant(3)), row.unit))
+    })
+}
+
+fn hold_against_first(rows: &mut [Row], another_arm: &[Option<String>]) {
+    for row in rows {
         let Some((first, first_sigma)) = row.cells[0].as_ref().and_then(|cell| Some((cell.value, cell.sigma?))) else {
             continue;
         };
-        for cell in row.cells.iter_mut().skip(1).flatten() {
+        let others = row.cells.iter_mut().zip(another_arm).skip(1).filter(|(_, another)| another.is_none());
+        for cell in others.filter_map(|(cell, _)| cell.as_mut()) {
             let together = cell.sigma.map(|sigma| sigma.hypot(first_sigma)).filter(|&sigma| sigma > 0.0);
             cell.apart_sigmas = together.map(|sigma| (cell.value - first).abs() / sigma);
         }
     }
-    rows
+}
+
+impl ComparedRun {
+    /// "[2] is of another arm than [1] ..."; `None` for the same arm. `at`: its position.
+    pub fn note(&self, at: usize) -> Option<String> {
+        let why = self.another_arm.as_ref()?;
+        Some(format!(
+            "[{}] is of another arm than [1] ({why}): its parameters are not held against those of [1].",
+            at + 1
+        ))
+    }
 }
 
 /// The comparison as a page.
@@ -156,15 +225,23 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             vec![
                 name.clone(),
                 escaped(&run.rig),
+                escaped(run.dataset.as_deref().unwrap_or("not told")),
                 format!("<strong>{}</strong>", escaped(&run.light)),
                 escaped(&run.verdict),
             ]
         })
         .collect();
+    let notes = comparison.runs.iter().enumerate().filter_map(|(at, run)| run.note(at));
+    let notes: String = notes.map(|note| format!("<p class=\"notice\">{}</p>\n", escaped(&note))).collect();
     let mut parts = vec![Section {
         id: "runs",
         title: "Runs",
-        html: table("words", "What each run says of itself", &["Run", "Rig", "Light", "Verdict"], &verdicts),
+        html: table(
+            "words",
+            "What each run says of itself",
+            &["Run", "Rig", "Data set", "Light", "Verdict"],
+            &verdicts,
+        ) + &notes,
         charts: Vec::new(),
     }];
     let titles = [("figures", "Figures"), ("parameters", "Parameters")];
@@ -174,7 +251,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
         let rows: Vec<Vec<String>> = group.rows.iter().map(row_html).collect();
         let caption = match id {
             "parameters" => {
-                "Calibrated values, \u{b1} sigma. In brackets: how many sigmas of both it is away from the first run."
+                "Calibrated values, \u{b1} sigma; held: not free in this run. In brackets: how many sigmas of both it is away from the first run."
             }
             _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is said.",
         };
@@ -202,7 +279,8 @@ fn row_html(row: &Row) -> Vec<String> {
                 cell.sigma.map_or(String::new(), |sigma| format!(" \u{b1} {}", number(sigma, Digits::Significant(2))));
             let apart =
                 cell.apart_sigmas.map_or(String::new(), |sigmas| format!(" ({})", number(sigmas, Digits::Decimals(1))));
-            format!("{}{sigma}{apart}", escaped(&cell.text))
+            let held = if cell.held { " <span class=\"none\">held</span>" } else { "" };
+            format!("{}{sigma}{apart}{held}", escaped(&cell.text))
         }
     };
     std::iter::once(escaped(&row.name))
@@ -220,23 +298,28 @@ fn labels(comparison: &Comparison) -> Vec<String> {
 fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Option<Chart> {
     let after = |run: &RunResult| run.number("/calibration/epipolar_after/median_px");
     runs.iter().find_map(after)?;
-    let bars = |name: &str, which: &str, color: &str, pattern: &str| {
+    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    let points = |name: &str, which: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> =
             runs.iter().map(|run| run.number(&format!("/calibration/epipolar_{which}/median_px"))).collect();
-        json!({"type": "bar", "name": name, "x": labels(comparison), "y": y,
-               "marker": {"color": color, "pattern": {"shape": pattern, "fillmode": "overlay", "size": 6}},
+        json!({"type": "scatter", "mode": "markers", "name": name, "x": labels(comparison), "y": y,
+               "marker": {"color": color, "symbol": symbol, "size": 11},
                "hovertemplate": "%{y:.3g} px<extra></extra>"})
     };
     Some(Chart {
         id: "compared-residuals",
         caption: "Median distance of the matches to their epipolar lines.".to_owned(),
-        description: "Bars of the median residual of each run, nominal and calibrated".to_owned(),
-        data: json!([bars("nominal", "before", NOMINAL, "/"), bars("calibrated", "after", CALIBRATED, "")]),
+        description: "Median residual of each run, nominal and calibrated".to_owned(),
+        data: json!([
+            points("nominal", "before", NOMINAL, "diamond-open"),
+            points("calibrated", "after", CALIBRATED, "circle")
+        ]),
         layout: json!({
-            "barmode": "group", "xaxis": {"automargin": true},
+            "xaxis": {"type": "category", "automargin": true, "range": [-0.5, comparison.runs.len() as f64 - 0.5]},
             "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 340,
+        max_width: None,
     })
 }
 
@@ -271,6 +354,7 @@ fn changes_chart(comparison: &Comparison) -> Option<Chart> {
             "shapes": [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 3, "y1": 3, "line": {"dash": "dot", "width": 1, "color": "#888888"}}],
         }),
         height: 380,
+        max_width: None,
     })
 }
 
@@ -300,7 +384,7 @@ mod tests {
                               {"name": "a_2", "unit": "mm", "calibrated": 11.0, "sigma": 0.4}]),
             ),
         ];
-        let comparison = Comparison::of(&runs);
+        let comparison = Comparison::of(&runs, &[]);
         let rows = &comparison.groups[1].rows;
         let names: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
         assert_eq!(names, ["a_2", "alpha_2", "d_7"]);
@@ -308,5 +392,42 @@ mod tests {
         assert!(rows[1].cells[1].is_none() && rows[2].cells[0].is_none());
         let page = compare_html(&runs, &comparison);
         assert!(page.contains("&lt;b&gt;arm") && !page.contains("<b>arm"));
+    }
+
+    fn rig(name: &str) -> Option<Rig> {
+        Some(skclam::rig::builtin_rig(name).unwrap().unwrap())
+    }
+
+    #[test]
+    fn what_a_run_held_is_shown_as_held() {
+        let runs = [
+            run("one", json!([{"name": "a_3", "unit": "mm", "calibrated": 260.5, "sigma": 0.1}])),
+            run("two", json!([{"name": "alpha_2", "unit": "deg", "calibrated": -90.1, "sigma": 0.01}])),
+        ];
+        let comparison = Comparison::of(&runs, &[rig("hp3j"), rig("hp3j")]);
+        let cells = &comparison.groups[1].rows[0].cells;
+        let held = cells[1].as_ref().unwrap();
+        let nominal = rig("hp3j").unwrap().robot.unwrap().parameter("a_3".parse().unwrap()).unwrap();
+        assert!(
+            held.held && !cells[0].as_ref().unwrap().held && (held.value - 1e3 * nominal).abs() < 1e-9,
+            "{cells:?}"
+        );
+        assert!(held.apart_sigmas.is_none());
+        assert!(compare_html(&runs, &comparison).contains(">held</span>"));
+    }
+
+    #[test]
+    fn two_arms_are_not_held_against_each_other() {
+        let parameters = |value: f64| json!([{"name": "a_3", "unit": "mm", "calibrated": value, "sigma": 0.1}]);
+        let told = |value: f64, rigs: &[Option<Rig>]| {
+            let comparison = Comparison::of(&[run("one", parameters(260.0)), run("two", parameters(value))], rigs);
+            let apart = comparison.groups[1].rows[0].cells[1].as_ref().unwrap().apart_sigmas;
+            (apart.is_some(), comparison.runs[1].note(1))
+        };
+        assert_eq!(told(260.2, &[]), (true, None));
+        let (held_against, note) = told(425.0, &[]);
+        assert!(!held_against && note.unwrap().contains("a_3 differs by 165 mm"));
+        let (held_against, note) = told(260.2, &[rig("hp3j"), rig("franka-fr3")]);
+        assert!(!held_against && note.unwrap().contains("7 joints"));
     }
 }

@@ -115,17 +115,34 @@ pub struct Chart {
     pub layout: Value,
     /// Height in CSS pixels.
     pub height: u32,
+    /// Greatest width in CSS pixels; `None` for the page's. For plots with one scale on both axes, which would leave the rest empty.
+    pub max_width: Option<u32>,
+}
+
+/// Greatest width of a plot with one scale on both axes and a colour bar beside it, for the extents of what it shows.
+pub(crate) fn width_for(height: u32, x: impl Iterator<Item = f64>, y: impl Iterator<Item = f64>) -> u32 {
+    let extent = |values: &mut dyn Iterator<Item = f64>| {
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        if high > low { high - low } else { 0.0 }
+    };
+    let (mut x, mut y) = (x, y);
+    let (x, y) = (extent(&mut x), extent(&mut y));
+    // Around the plot: legend and axis title above and below; axis title and colour bar beside.
+    let plot = f64::from(height.saturating_sub(80));
+    let aspect = if y > 0.0 { x / y } else { f64::INFINITY };
+    (plot * aspect.clamp(0.8, 2.5)) as u32 + 160
 }
 
 impl Chart {
     /// The place of the chart in the page.
     pub(crate) fn html(&self) -> String {
         format!(
-            "<figure class=\"chart\"><div id=\"{}\" class=\"plot\" role=\"img\" aria-label=\"{}\" style=\"height:{}px\"></div>\
+            "<figure class=\"chart\"><div id=\"{}\" class=\"plot\" role=\"img\" aria-label=\"{}\" style=\"height:{}px{}\"></div>\
              <figcaption>{}</figcaption></figure>\n",
             self.id,
             escaped(&self.description),
             self.height,
+            self.max_width.map_or(String::new(), |width| format!(";max-width:{width}px")),
             escaped(&self.caption)
         )
     }
@@ -162,6 +179,14 @@ mod tests {
         assert_eq!(shown(-0.00001, Digits::Decimals(3)), "0.000");
         assert_eq!(shown(6555941.0, Digits::Whole), "6\u{202f}555\u{202f}941");
         assert_eq!(shown(-12.0, Digits::Whole), "-12");
+    }
+
+    #[test]
+    fn plots_of_one_scale_are_as_wide_as_they_are_high() {
+        let width = |x: [f64; 2], y: [f64; 2]| width_for(480, x.into_iter(), y.into_iter());
+        assert_eq!(width([0.0, 1.0], [2.0, 3.0]), 560);
+        assert!(width([0.0, 2.0], [0.0, 1.0]) > 900 && width([0.0, 0.1], [0.0, 1.0]) < 500);
+        assert_eq!(width([0.0, 1.0], [0.0, 0.0]), width_for(480, [0.0, 9.0].into_iter(), [0.0, 1.0].into_iter()));
     }
 
     #[test]

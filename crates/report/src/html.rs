@@ -26,11 +26,16 @@ pub(crate) fn script_json(value: &impl serde::Serialize) -> String {
 
 /// A table that scrolls by itself where the screen is narrow. `caption`, `head` and `rows` are HTML.
 pub(crate) fn table(class: &str, caption: &str, head: &[&str], rows: &[Vec<String>]) -> String {
+    // On a narrow screen each row of words becomes a block, and its cells say what they are.
+    let labels: Vec<String> = match class {
+        "words" => head.iter().map(|cell| format!(" data-label=\"{}\"", escaped(&without_tags(cell)))).collect(),
+        _ => vec![String::new(); head.len()],
+    };
     let head: String = head.iter().map(|cell| format!("<th scope=\"col\">{cell}</th>")).collect();
     let row = |cells: &Vec<String>| {
         let cells = cells.iter().enumerate().map(|(column, cell)| match column {
             0 => format!("<th scope=\"row\">{cell}</th>"),
-            _ => format!("<td>{cell}</td>"),
+            _ => format!("<td{}>{cell}</td>", labels.get(column).map_or("", String::as_str)),
         });
         format!("<tr>{}</tr>\n", cells.collect::<String>())
     };

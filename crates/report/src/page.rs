@@ -35,8 +35,9 @@ pub fn report_html(run: &RunResult) -> String {
     let title = if rig.is_empty() { "Calibration report".to_owned() } else { format!("Calibration report: {rig}") };
     let map = run.data.as_ref().map_or_else(|| "null".to_owned(), sections::overview::scene_json);
     let header = format!(
-        "<p class=\"kicker\">Calibration report</p>\n<h1>{}</h1>\n<p class=\"origin\">{} {}</p>",
+        "<p class=\"kicker\">Calibration report</p>\n<h1>{}</h1>\n<p class=\"origin\">{}{} {}</p>",
         escaped(if rig.is_empty() { "Unnamed rig" } else { rig }),
+        run.data.as_ref().map_or_else(String::new, |data| format!("data set {} \u{b7} ", escaped(&data.dataset))),
         escaped(run.text("/program")),
         escaped(run.text("/version"))
     );

@@ -5,6 +5,7 @@ use crate::screen;
 use anyhow::{Context, Result};
 use clap::{Args, ValueHint};
 use skclam::output::StagedFolder;
+use skclam::rig::Rig;
 use skclam_report::{Comparison, RunResult, compare_html, report_html};
 use std::path::{Path, PathBuf};
 
@@ -51,7 +52,13 @@ pub fn report(cli: &Cli, args: &ReportArgs) -> Result<()> {
 /// Puts results side by side.
 pub fn compare(cli: &Cli, args: &CompareArgs) -> Result<()> {
     let runs = args.results.iter().map(RunResult::read).collect::<Result<Vec<_>, _>>()?;
-    let comparison = Comparison::of(&runs);
+    // What a run held stands in its rig; a result without one is compared all the same.
+    let rig = |folder: &PathBuf| {
+        let path = folder.join("rig.toml");
+        path.exists().then(|| Rig::read(path)).transpose()
+    };
+    let rigs = args.results.iter().map(rig).collect::<Result<Vec<_>, _>>()?;
+    let comparison = Comparison::of(&runs, &rigs);
     if cli.json {
         println!("{}", serde_json::to_string_pretty(&comparison)?);
     } else {
@@ -82,6 +89,12 @@ fn write_whole(path: &Path, text: &str) -> Result<()> {
 fn show(comparison: &Comparison) {
     for (at, run) in comparison.runs.iter().enumerate() {
         println!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.light);
+        if let Some(dataset) = &run.dataset {
+            println!("    {dataset}");
+        }
+    }
+    for note in comparison.runs.iter().enumerate().filter_map(|(at, run)| run.note(at)) {
+        println!("{note}");
     }
     println!();
     let header: Vec<String> = (1..=comparison.runs.len()).map(|at| format!("[{at}]")).collect();
@@ -93,7 +106,11 @@ fn show(comparison: &Comparison) {
         let mut table = screen::table(&head);
         for row in &group.rows {
             let mut cells = vec![row.name.clone()];
-            cells.extend(row.cells.iter().map(|cell| cell.as_ref().map_or("-".to_owned(), |cell| cell.text.clone())));
+            cells.extend(row.cells.iter().map(|cell| match cell {
+                None => "-".to_owned(),
+                Some(cell) if cell.held => format!("{} held", cell.text),
+                Some(cell) => cell.text.clone(),
+            }));
             cells.push(row.unit.clone());
             table.add_row(cells);
         }

@@ -1,11 +1,13 @@
 //! Which postures share what: the overlap graph.
 
 use crate::RunResult;
-use crate::figures::{Chart, Digits, Numbers};
+use crate::figures::{Chart, Digits, Numbers, width_for};
 use crate::page::Section;
 use serde_json::{Value, json};
 use skclam::report_data::ReportData;
 
+/// Height of the graph, CSS pixels.
+const HEIGHT: u32 = 520;
 /// Classes of edges by matches: at least so many, width, opacity.
 const CLASSES: [(usize, f64, f64); 4] = [(1, 0.6, 0.35), (30, 1.0, 0.5), (100, 1.6, 0.65), (300, 2.4, 0.8)];
 
@@ -117,21 +119,23 @@ fn graph(data: &ReportData) -> Chart {
             "xaxis": {"title": {"text": format!("{} (m)", names[across])}, "zeroline": false, "constrain": "domain"},
             "yaxis": {"title": {"text": format!("{} (m)", names[up])}, "scaleanchor": "x", "zeroline": false, "constrain": "domain"},
         }),
-        height: 460,
+        height: HEIGHT,
+        max_width: Some(width_for(
+            HEIGHT,
+            data.postures.iter().map(|posture| posture.calibrated_m[across]),
+            data.postures.iter().map(|posture| posture.calibrated_m[up]),
+        )),
     }
 }
 
-/// The two axes along which the camera moved most, in their order.
+/// The two axes along which the camera moved most, the widest first: screens are wider than high.
 fn widest_axes(data: &ReportData) -> [usize; 2] {
     let extent = |axis: usize| {
         let values = data.postures.iter().map(|posture| posture.calibrated_m[axis]);
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
         high - low
     };
-    let narrowest = (0..3).min_by(|&a, &b| extent(a).total_cmp(&extent(b))).unwrap_or(2);
-    match narrowest {
-        0 => [1, 2],
-        1 => [0, 2],
-        _ => [0, 1],
-    }
+    let mut axes = [0, 1, 2];
+    axes.sort_by(|&a, &b| extent(b).total_cmp(&extent(a)));
+    [axes[0], axes[1]]
 }

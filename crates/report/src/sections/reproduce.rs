@@ -12,8 +12,9 @@ pub(crate) fn section(run: &RunResult) -> Section {
     let dataset = run.data.as_ref().map_or("DATASET", |data| data.dataset.as_str());
     let command = if run.summary.get("map").is_some_and(|map| !map.is_null()) { "run" } else { "calibrate" };
     let html = format!(
-        "<p>The same data set, the same configuration and the same version of the program give the same rig.toml, byte for byte, on any number of threads:</p>\n\
-         <pre tabindex=\"0\"><code>skclam {command} {} --config summary.json --out again/</code></pre>\n\
+        "<p>The same data set, the same configuration and the same version of the program give the same rig.toml, byte for byte, on any number of threads \
+         (RESULT is the folder of this report; the data set's path is as the run named it):</p>\n\
+         <pre tabindex=\"0\"><code>skclam {command} {} --config <span id=\"result-folder\">RESULT</span>/summary.json --out again/</code></pre>\n\
          <p>The page itself is built again from the result folder by <code>skclam report DIR</code>.</p>\n\
          <details><summary>Configuration in force</summary><pre tabindex=\"0\"><code>{}</code></pre></details>\n",
         escaped(&shell_word(dataset)),

@@ -99,19 +99,20 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
         Some(format!("{}\u{2013}{}", indices.first()?, indices.last()?))
     };
     let names: Vec<String> = folds.iter().map(|fold| name(fold).unwrap_or_default()).collect();
-    let trace = |label: &str, field: &str, color: &str, pattern: &str| {
+    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    let trace = |label: &str, field: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["figure_px"][field].as_f64()).collect();
         y.iter().any(Option::is_some).then(|| {
             json!({
-                "type": "bar", "name": label, "x": names, "y": y, "hovertemplate": "%{y:.3g} px<extra></extra>",
-                "marker": {"color": color, "pattern": {"shape": pattern, "fillmode": "overlay", "size": 6}},
+                "type": "scatter", "mode": "markers", "name": label, "x": names, "y": y, "hovertemplate": "%{y:.3g} px<extra></extra>",
+                "marker": {"color": color, "symbol": symbol, "size": 10},
             })
         })
     };
     let traces: Vec<Value> = [
-        trace("nominal", "nominal", NOMINAL, "/"),
-        trace("mount alone fitted", "mount_only", "#8a94a0", "."),
-        trace("calibrated", "calibrated", CALIBRATED, ""),
+        trace("nominal", "nominal", NOMINAL, "diamond-open"),
+        trace("mount alone fitted", "mount_only", "#8a94a0", "square-open"),
+        trace("calibrated", "calibrated", CALIBRATED, "circle"),
     ]
     .into_iter()
     .flatten()
@@ -124,13 +125,14 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
             run.number("/held_out/better_folds").unwrap_or_default(),
             folds.len()
         ),
-        description: "Bars of the held-out residuals of each group of postures".to_owned(),
+        description: "Held-out residuals of each group of postures".to_owned(),
         data: json!(traces),
         layout: json!({
-            "barmode": "group", "xaxis": {"type": "category", "title": {"text": "held-out postures (indices)"}},
+            "xaxis": {"type": "category", "title": {"text": "held-out postures (indices)"}},
             "yaxis": {"type": "log", "title": {"text": "residual (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 320,
+        max_width: None,
     })
 }
 
@@ -174,6 +176,7 @@ fn histogram(histogram: &Histogram, kind: ResidualKind) -> Chart {
             "yaxis": {"title": {"text": "share (%)"}, "rangemode": "tozero"},
         }),
         height: 320,
+        max_width: None,
     }
 }
 
@@ -221,6 +224,7 @@ fn by_posture(data: &ReportData) -> Chart {
             "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
         }),
         height: 320,
+        max_width: None,
     }
 }
 
@@ -278,6 +282,7 @@ fn arrows(
             "showlegend": false,
         }),
         height: 330,
+        max_width: None,
     }
 }
 
@@ -346,6 +351,7 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
         data: json!(traces),
         layout,
         height: 60 + 230 * rows as u32,
+        max_width: None,
     })
 }
 

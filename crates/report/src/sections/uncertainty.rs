@@ -80,6 +80,9 @@ fn pose_figures(run: &RunResult) -> String {
     )
 }
 
+/// Height of the plot of the workspace, CSS pixels.
+const HEIGHT: u32 = 500;
+
 /// Each posture where it is in space: distance from the base's axis against height, coloured by the expected error.
 fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
     let known: Vec<(&PoseSigma, f64)> = poses.iter().filter_map(|pose| Some((pose, pose.camera_sigma_mm?))).collect();
@@ -121,7 +124,12 @@ fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
             "xaxis": {"title": {"text": "distance from the first axis (m)"}, "zeroline": false, "constrain": "domain"},
             "yaxis": {"title": {"text": "height above the base (m)"}, "scaleanchor": "x", "zeroline": false, "constrain": "domain"},
         }),
-        height: 440,
+        height: HEIGHT,
+        max_width: Some(width_for(
+            HEIGHT,
+            known.iter().map(|(pose, _)| pose.camera_mm[0].hypot(pose.camera_mm[1])),
+            known.iter().map(|(pose, _)| pose.camera_mm[2]),
+        )),
     })
 }
 
@@ -143,6 +151,7 @@ fn heat_map(names: &[String], matrix: &[Vec<f64>]) -> Chart {
             "yaxis": {"autorange": "reversed", "automargin": true, "showgrid": false, "ticks": ""},
         }),
         height: (200 + 15 * names.len() as u32).clamp(320, 900),
+        max_width: None,
     }
 }
 
