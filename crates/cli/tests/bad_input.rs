@@ -109,7 +109,7 @@ fn tables_that_contradict_themselves() {
     let mount = rig.find("[mount]").unwrap();
     assert!(first < last && last < mount);
     fs::write(&path, format!("{}{}", &rig[..last], &rig[mount..])).unwrap();
-    refused(copy.path(), &["line 2", "5 joints", "6 joint values"]);
+    refused(copy.path(), &["postures.csv, line 1", "5 joints", "q6_deg belongs to none"]);
 }
 
 #[test]

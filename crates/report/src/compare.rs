@@ -407,7 +407,8 @@ mod tests {
         let comparison = Comparison::of(&runs, &[rig("hp3j"), rig("hp3j")]);
         let cells = &comparison.groups[1].rows[0].cells;
         let held = cells[1].as_ref().unwrap();
-        let nominal = rig("hp3j").unwrap().robot.unwrap().parameter("a_3".parse().unwrap()).unwrap();
+        let rig_of = rig("hp3j").unwrap();
+        let nominal = Model::new(rig_of.clone()).value(&rig_of, "a_3".parse().unwrap()).unwrap();
         assert!(
             held.held && !cells[0].as_ref().unwrap().held && (held.value - 1e3 * nominal).abs() < 1e-9,
             "{cells:?}"

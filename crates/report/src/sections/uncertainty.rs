@@ -1,7 +1,7 @@
 //! How sure the parameters are together, and what follows for the position over the workspace.
 
 use crate::RunResult;
-use crate::figures::{Chart, Digits, Numbers, number};
+use crate::figures::{Chart, Digits, Numbers, number, width_for};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::json;
