@@ -140,7 +140,7 @@ fn damaged_results_are_answered() {
     let data = out.join("report_data.json");
     let text = fs::read_to_string(&data).unwrap();
     for (from, to, said) in [
-        ("\"format\":1", "\"format\":99", "format 99"),
+        ("\"format\":2", "\"format\":99", "format 99"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"AAAA", "map.calibrated_m"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"!", "base64"),
         ("\"ends\":", "\"ends\":-", "invalid"),

@@ -316,7 +316,7 @@ fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Option<Chart> 
         ]),
         layout: json!({
             "xaxis": {"type": "category", "automargin": true, "range": [-0.5, comparison.runs.len() as f64 - 0.5]},
-            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
+            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": "D2"},
         }),
         height: 340,
         max_width: None,

@@ -129,7 +129,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
         data: json!(traces),
         layout: json!({
             "xaxis": {"type": "category", "title": {"text": "held-out postures (indices)"}},
-            "yaxis": {"type": "log", "title": {"text": "residual (px)"}, "exponentformat": "none", "dtick": 1},
+            "yaxis": {"type": "log", "title": {"text": "residual (px)"}, "exponentformat": "none", "dtick": "D2"},
         }),
         height: 320,
         max_width: None,
@@ -221,7 +221,7 @@ fn by_posture(data: &ReportData) -> Chart {
         ]),
         layout: json!({
             "xaxis": {"title": {"text": "posture (index in the recording)"}},
-            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": 1},
+            "yaxis": {"type": "log", "title": {"text": "distance (px)"}, "exponentformat": "none", "dtick": "D2"},
         }),
         height: 320,
         max_width: None,
