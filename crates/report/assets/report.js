@@ -190,7 +190,7 @@
       if (!plot._fullLayout || plot.id === "view3d") continue;
       if (on) {
         plot.dataset.height = plot.style.height;
-        const wanted = parseFloat(plot.style.height) * (plot.closest(".pair") ? 0.75 : 0.78);
+        const wanted = parseFloat(plot.style.height) * 0.7;
         const most = parseFloat(plot.style.maxWidth) || Infinity;
         plot.style.height = `${wanted}px`;
         Plotly.relayout(plot, { width: plot.closest(".pair") ? 330 : Math.min(670, most * 0.85), height: wanted });
