@@ -74,16 +74,7 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     let rig = match (&args.rig, &args.robot) {
         (Some(path), _) => Rig::read(path)?,
         (None, Some(name)) => builtin_or_file(name)?,
-        // Wrong use, told as clap tells it, with both ways out.
-        (None, None) => Cli::command()
-            .error(
-                ErrorKind::MissingRequiredArgument,
-                format!(
-                    "the arm is missing: --rig RIG (a rig file), or --robot NAME (built in: {})",
-                    builtin_names().collect::<Vec<_>>().join(", ")
-                ),
-            )
-            .exit(),
+        (None, None) => no_arm(),
     };
     let joint_log = match (&args.joints, &rig.robot) {
         (Some(path), Some(robot)) => Some(read_joint_log(path, robot, args.joint_offset_s)?),
@@ -118,6 +109,16 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     println!("{} postures{lacking}\nData set: {}", summary.postures, folder.display());
     println!("Look at it before you calibrate: skclam inspect {}", folder.display());
     Ok(())
+}
+
+/// Ends the program as clap does, with both ways out.
+fn no_arm() -> ! {
+    let mut command = Cli::command();
+    command.build();
+    let names = builtin_names().collect::<Vec<_>>().join(", ");
+    let text = format!("the arm is missing: --rig RIG (a rig file), or --robot NAME (built in: {names})");
+    let import = command.find_subcommand_mut("import").cloned();
+    import.unwrap_or(command).error(ErrorKind::MissingRequiredArgument, text).exit()
 }
 
 fn options(args: &ImportArgs) -> ImportOptions {

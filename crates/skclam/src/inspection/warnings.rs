@@ -110,8 +110,8 @@ fn doubtful_unit(dataset: &Dataset, inspection: &Inspection, options: &Inspectio
     let counts = median_m / camera.unit_m;
     (!(least..=most).contains(&median_m)).then(|| {
         format!(
-            "the median depth is {median_m:.2e} m ({counts:.0} counts of {} mm); is depth.unit_mm of rig.toml right? It is the length of one count \
-             of the 16-bit images: 1 for most cameras, {:.3e} if the median were 1 m",
+            "the median depth is {median_m:.2e} m (counts about {counts:.0}, of {} mm each); is depth.unit_mm of rig.toml right? It is the length of one \
+             count of the 16-bit images: 1 for most cameras, about {:.2} if the cell is about 1 m away",
             camera.unit_m * 1e3,
             1e3 / counts
         )
