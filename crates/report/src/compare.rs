@@ -203,7 +203,7 @@ fn hold_against_first(rows: &mut [Row], another_arm: &[Option<String>]) {
 }
 
 impl ComparedRun {
-    /// "[2] is of another arm than [1] ..."; `None` for the same arm. `at`: its position.
+    /// "\[2\] is of another arm than \[1\] ..."; `None` for the same arm. `at`: its position.
     pub fn note(&self, at: usize) -> Option<String> {
         let why = self.another_arm.as_ref()?;
         Some(format!(
