@@ -140,7 +140,7 @@ impl fmt::Display for Warning {
             }
             Warning::LargeResiduals { sigma } => write!(
                 f,
-                "even the sights that fit are {sigma:.1} px off where features are good to one: matches contradict each other (repeated texture, a scene that moved), or the nominal rig is wrong in what is not free; do not trust this calibration"
+                "even the sights that fit are {sigma:.1} times as far off as features are uncertain: matches contradict each other (repeated texture, a scene that moved), or the nominal rig is wrong in what is not free; do not trust this calibration"
             ),
             Warning::NotConverged { reason } => write!(f, "the solver {reason}"),
         }

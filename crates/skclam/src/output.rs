@@ -51,6 +51,17 @@ impl StagedFolder {
         Ok(StagedFolder { staging, destination, published: false })
     }
 
+    /// The same for results that are made of a data set: refused where a data set lies, whose `rig.toml` they would replace.
+    pub fn for_result(destination: impl AsRef<Path>) -> Result<Self, OutputError> {
+        let destination = destination.as_ref();
+        if destination.join("postures.csv").exists() {
+            let reason = "holds a data set (postures.csv), whose rig.toml would be replaced; name another folder for the results";
+            let source = std::io::Error::new(std::io::ErrorKind::AlreadyExists, reason);
+            return Err(OutputError { path: destination.to_owned(), source });
+        }
+        Self::new(destination)
+    }
+
     /// Where to write a file until the folder is published. Sub-folders of `name` are made.
     pub fn path(&self, name: impl AsRef<Path>) -> Result<PathBuf, OutputError> {
         let path = self.staging.join(name);
@@ -139,6 +150,16 @@ mod tests {
         staged.publish().unwrap();
         assert_eq!(fs::read_to_string(destination.join("a.txt")).unwrap(), "new");
         assert_eq!(fs::read_to_string(destination.join("other.txt")).unwrap(), "kept");
+    }
+
+    #[test]
+    fn a_data_set_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("postures.csv"), "").unwrap();
+        fs::write(folder.path().join("rig.toml"), "nominal").unwrap();
+        let message = StagedFolder::for_result(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("holds a data set"), "{message}");
+        assert!(StagedFolder::for_result(folder.path().join("result")).is_ok());
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    BoardSummary, CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary,
-    SurfaceAgreement, TrackSummary, VerdictGrade,
+    BoardSummary, CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary, Reason,
+    Scale, SurfaceAgreement, TrackSummary, VerdictGrade, judge, worst,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -19,8 +19,12 @@ pub struct Summary {
     pub version: String,
     /// The verdict in one sentence.
     pub verdict: String,
-    /// The same as a traffic light.
+    /// The same as a traffic light: the worst that any of the reasons calls for.
     pub grade: VerdictGrade,
+    /// What was looked at, worst first.
+    pub reasons: Vec<Reason>,
+    /// Where lengths come from.
+    pub scale: Scale,
     /// The rig's name.
     pub rig: String,
     /// What came in.
@@ -55,6 +59,14 @@ pub struct Summary {
     pub stages: Vec<StageSeconds>,
     /// Largest resident memory, MiB; filled in by the program.
     pub peak_memory_mib: Option<f64>,
+}
+
+impl Summary {
+    /// Fills in reasons and grade, for a run whose estimate and held-out postures alone call for `own`.
+    pub(crate) fn judge(&mut self, own: VerdictGrade) {
+        self.reasons = judge(self, own);
+        self.grade = worst(&self.reasons, own);
+    }
 }
 
 /// What came in.
@@ -112,7 +124,7 @@ pub struct CalibrationSummary {
     pub observability: Option<[f64; 5]>,
     /// What the data cannot tell, and why, in words.
     pub not_identifiable: Vec<String>,
-    /// Sigma of a pixel coordinate that the residuals tell of.
+    /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that were not refined).
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2`, 1/m.
     pub depth_sigma_per_m: Option<f64>,

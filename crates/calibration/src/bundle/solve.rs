@@ -18,11 +18,19 @@ use crate::{
     PostureFit, ReprojectionStatistics, Termination, Warning,
 };
 use skclam_rig::Rig;
+use std::cell::Cell;
 
 /// Sights that the descent looks at until it has settled; then all.
 const SAMPLE_SIGHTS: usize = 60_000;
 /// Deviations below this (0.0003 deg) move no pixel by what can be measured, rad.
 const LEAST_DEVIATION: f64 = 5e-6;
+/// Joints that stand farther off their values (sigma, rad; half a degree) are no encoders' noise: something else is wrong, and deviations must not swallow it.
+const LARGEST_DEVIATION: f64 = 8.7e-3;
+/// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more. A round in which the
+/// noise falls by half does not count.
+const PATIENCE: [usize; 2] = [2, 4];
+/// What an adjustment is left with when patience has run out.
+const LEAST_ITERATIONS: usize = 10;
 /// Times that the sample is searched for postures that are wrong.
 const EARLY_LOOKS: usize = 3;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
@@ -62,7 +70,14 @@ pub(crate) fn compare(
     let noise = NoiseScales { pixel: sigma_px.max(1e-6), depth: FIRST_DEPTH, deviation: 1.0 };
     let priors = Priors { sigmas: Vec::new() };
     let options = BundleOptions::default();
-    let solve = Solve { nominal: &nominal.rig, motion, parameters: &[], priors: &priors, options: &options };
+    let solve = Solve {
+        nominal: &nominal.rig,
+        motion,
+        parameters: &[],
+        priors: &priors,
+        options: &options,
+        spent: Cell::new(0),
+    };
     let after = solve.evaluate(calibrated, &[], observations, noise, None)?;
     let before = solve.evaluate(nominal, &[], &after.observations, noise, Some(&after.state))?;
     Ok((before, after))
@@ -97,7 +112,8 @@ pub fn calibrate_bundle(
 
     let (start, pixel) = start(nominal, data, &all, &parameters)?;
     let noise = NoiseScales { pixel, depth: FIRST_DEPTH, deviation: first_deviation };
-    let solve = Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options };
+    let solve =
+        Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options, spent: Cell::new(0) };
     let none = vec![0.0; joints * motion.len()];
     let without = |out: &[usize]| {
         let keep = |posture: usize| !out.contains(&posture);
@@ -190,6 +206,8 @@ pub(super) struct Solve<'a> {
     pub parameters: &'a [Parameter],
     pub priors: &'a Priors,
     pub options: &'a BundleOptions,
+    /// Iterations of all adjustments so far in rounds that gained little.
+    pub spent: Cell<usize>,
 }
 
 impl Solve<'_> {
@@ -278,12 +296,15 @@ impl Solve<'_> {
         let mut sizes = self.adjustment(&observations, noise, loss, Balance::EVEN).residual_sizes(&state);
         noise = rescaled(&sizes, &noise, 1.0);
         let mut balance = Balance::EVEN;
-        let (mut iterations, mut evaluations, mut rounds) = (0, 0, 0);
+        let (mut iterations, mut evaluations, mut rounds, mut vain) = (0, 0, 0, 0);
         let mut initial_cost = None;
+        let [one, all] = PATIENCE.map(|rounds| rounds * self.options.max_iterations);
+        let allowed = one.min(all.saturating_sub(self.spent.get())).max(LEAST_ITERATIONS);
         let (reason, final_cost) = loop {
             rounds += 1;
             let adjustment = self.adjustment(&observations, noise, loss, balance);
-            let descent = adjustment.descend(state, self.options.max_iterations)?;
+            let limit = self.options.max_iterations.min(allowed.saturating_sub(vain).max(1));
+            let descent = adjustment.descend(state, limit)?;
             iterations += descent.iterations;
             evaluations += descent.evaluations;
             initial_cost.get_or_insert(descent.initial_cost);
@@ -309,23 +330,28 @@ impl Solve<'_> {
             if let (Some(sigma), true) = (told.and_then(|told| told.sigma), self.estimates_deviations()) {
                 // The fixed point is approached by small factors; their square halves the number of rounds.
                 let factor = (sigma / noise.deviation).clamp(0.3, 3.0);
-                next.deviation = (noise.deviation * factor * factor).max(LEAST_DEVIATION);
+                next.deviation = (noise.deviation * factor * factor).clamp(LEAST_DEVIATION, LARGEST_DEVIATION);
+            }
+            if next.pixel > 0.5 * noise.pixel {
+                vain += descent.iterations;
             }
             let change = |old: f64, new: f64| (new / old - 1.0).abs();
-            let deviation_settled = next.deviation <= LEAST_DEVIATION && noise.deviation <= LEAST_DEVIATION
+            let deviation_settled = next.deviation == noise.deviation
+                || next.deviation <= LEAST_DEVIATION && noise.deviation <= LEAST_DEVIATION
                 || change(noise.deviation, next.deviation) < 5.0 * SETTLED;
             let settled = change(noise.pixel, next.pixel) < SETTLED
                 && change(noise.depth, next.depth) < SETTLED
                 && change(corner_factor, 1.0) < 5.0 * SETTLED
                 && deviation_settled
                 && (joints == 0 || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
-            if settled || rounds >= self.options.max_rounds {
+            if settled || rounds >= self.options.max_rounds || vain >= allowed {
                 break (descent.reason, descent.cost);
             }
             noise = next;
             observations.scale_corner_sigma(corner_factor);
             balance = next_balance;
         };
+        self.spent.set(self.spent.get() + vain);
         let initial_cost = initial_cost.unwrap_or_default();
         let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };
         Ok(Adjusted { state, noise, observations, balance: Balance::of(&sizes, loss), sizes, termination })

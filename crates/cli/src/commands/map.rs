@@ -18,7 +18,7 @@ pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
     };
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let config = Config { voxel_m: args.voxel_mm.map(|voxel_mm| voxel_mm * 1e-3), ..Config::default() };
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = StagedFolder::for_result(&args.out)?;
     let screen = Screen::new(cli.quiet);
     let trajectory = pipeline::localize(&dataset, &dataset.rig)?;
     let poses: Vec<_> = trajectory.iter().map(|stamped| stamped.base_from_camera).collect();

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
 use skclam::output::StagedFolder;
-use skclam::pipeline::{self, BoardSummary, Config, MapCoverage};
+use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, VerdictGrade};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -45,7 +45,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     }
     let config = config(args, &dataset.rig)?;
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = StagedFolder::for_result(&args.out)?;
     let screen = Screen::new(cli.quiet);
     let found = match args.find_mount {
         true => Some(pipeline::find_mount(&dataset, &config, &screen)?),
@@ -112,7 +112,11 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
 /// The table of a run.
 pub fn show(summary: &Summary) {
     let calibration = &summary.calibration;
-    println!("{}\n", summary.verdict);
+    println!("{}", summary.verdict);
+    for reason in summary.reasons.iter().filter(|reason| reason.grade != VerdictGrade::Good) {
+        println!("  check: {}", reason.text);
+    }
+    println!();
     if !calibration.parameters.is_empty() {
         let mut table = screen::table(&["parameter", "nominal", "calibrated", "change", "sigma", "unit"]);
         for parameter in &calibration.parameters {
@@ -199,6 +203,9 @@ pub fn show(summary: &Summary) {
     println!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
     if let Some(rank) = calibration.rank {
         println!("{rank} of {} free parameters are seen by the data", calibration.free);
+        if calibration.arm && matches!(summary.configuration.free, Free::Auto | Free::With(..)) {
+            println!("Held, as no image tells: base about and along axis 1; flange about and along the last");
+        }
     }
     for reason in &calibration.not_identifiable {
         println!("  not identifiable: {reason}");

@@ -4,6 +4,7 @@ use crate::RunResult;
 use crate::figures::{Digits, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
+use serde_json::Value;
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let numbers = Numbers::of(run);
@@ -29,6 +30,10 @@ pub(crate) fn section(run: &RunResult) -> Section {
         } else {
             table("words", "Not identifiable: held by the priors, not by the data", &["What", "What to do"], &reasons)
         };
+        let arm = run.summary.pointer("/calibration/arm").and_then(Value::as_bool) == Some(true);
+        if arm && run.text("/configuration/free").starts_with("auto") {
+            html += GAUGE;
+        }
         let names = ["O1", "O2", "O3", "O4", "O5"];
         let row: Vec<String> = std::iter::once("Value".to_owned())
             .chain((0..5).map(|k| numbers.show(&format!("/calibration/observability/{k}"), Digits::Significant(3))))
@@ -38,6 +43,11 @@ pub(crate) fn section(run: &RunResult) -> Section {
     }
     Section { id: "unseen", title: "What the data cannot tell", html, charts: Vec::new() }
 }
+
+/// What `auto` holds because no posture can tell it.
+const GAUGE: &str = "<p>Held at nominal, because no image can tell: where the base stands (a turn about and a shift along axis 1), and how the flange is turned about and \
+     shifted along the last axis, which is one with the mount. Camera poses and the map do not depend on the second; the flange's poses, an exported tool frame \
+     and compensated targets are only as right as the nominal values there. Measure them by other means if they matter.</p>\n";
 
 /// What to record, or to give, so that the data tell it. The sentences of the estimator name the cause.
 fn advice(reason: &str) -> String {

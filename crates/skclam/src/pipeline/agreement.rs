@@ -9,7 +9,7 @@ use skclam_mapping::{GapOptions, View, surface_gaps};
 use skclam_rig::Rig;
 
 /// Distances between the surfaces of overlapping depth images.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SurfaceAgreement {
     /// Pairs of depth images that overlap.
     pub pairs: usize,

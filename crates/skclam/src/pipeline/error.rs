@@ -54,6 +54,22 @@ pub enum RunError {
         /// Left by everything.
         matches: usize,
     },
+    /// A mount that no camera has.
+    #[error(
+        "the mount that fits the matches best lies {distance_m:.1} m from the flange, farther than a camera is mounted: the recording does not tell it \
+         ({matches} matches in {pairs} pairs, {median_px:.1} px from their lines in the median). Turn the wrist more while recording, or give a rough mount in the rig \
+         and leave --find-mount out"
+    )]
+    AbsurdMount {
+        /// From the flange to the camera, metres.
+        distance_m: f64,
+        /// Matches that were heard.
+        matches: usize,
+        /// Their pairs of images.
+        pairs: usize,
+        /// Median Sampson distance of the matches, px.
+        median_px: f64,
+    },
     /// The user asked to stop.
     #[error("interrupted; nothing was written")]
     Interrupted,

@@ -29,6 +29,8 @@ pub struct FoundMount {
 const KEYPOINTS: usize = 1500;
 /// Pairs that are matched at the most, evenly over all.
 const PAIRS: usize = 3000;
+/// No camera is mounted farther from a flange.
+const FARTHEST_M: f64 = 1.0;
 /// A pair with fewer verified matches may be an accident.
 const LEAST_MATCHES: usize = 20;
 
@@ -77,6 +79,15 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
     };
     let found = search(&dataset.rig, &data)?;
     let flange_from_color = found.model.rig.flange_from_color;
+    let distance_m = flange_from_color.translation.vector.norm();
+    if distance_m > FARTHEST_M {
+        return Err(RunError::AbsurdMount {
+            distance_m,
+            matches: data.match_count(),
+            pairs: data.pairs.len(),
+            median_px: found.epipolar_after.median_sampson_px,
+        });
+    }
     let change = dataset.rig.flange_from_color.inverse() * flange_from_color;
     Ok(FoundMount {
         flange_from_color,

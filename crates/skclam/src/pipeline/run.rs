@@ -2,9 +2,10 @@
 
 use super::gather::{Gathered, gather};
 use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
+use super::verdict::unexplained;
 use super::{
-    Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, ScaleSource, Verdict,
-    build_maps, calibrate, hold_out, localize, map_coverage, pose_sigmas, surface_agreement,
+    Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, Scale, Verdict,
+    VerdictGrade, build_maps, calibrate, hold_out, localize, map_coverage, pose_sigmas, surface_agreement,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -53,7 +54,7 @@ pub struct Outcome {
 
 /// Calibrates, localizes and maps: the method of section 3 in its order.
 pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let mut outcome = run_without_map(dataset, config, progress)?;
+    let (mut outcome, own) = estimate(dataset, config, progress)?;
     let nominal = localize(dataset, &dataset.rig)?;
     // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the poses alone differ.
     let corrected = Dataset { rig: Rig { depth: outcome.rig.depth, ..dataset.rig.clone() }, ..dataset.clone() };
@@ -92,6 +93,7 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
         outcome.summary.map =
             Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated, coverage });
     }
+    outcome.summary.judge(own);
     Ok(outcome)
 }
 
@@ -100,13 +102,24 @@ const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
+    let (mut outcome, own) = estimate(dataset, config, progress)?;
+    outcome.summary.judge(own);
+    Ok(outcome)
+}
+
+/// The same, with the grade that the estimate and its held-out postures alone call for.
+fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, VerdictGrade), RunError> {
     let Gathered { images, pairs, data, tracks, mut board, mut told, camera_fixed } =
         gather(dataset, config, progress)?;
     let calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
     }
-    let held_out = hold_out(dataset, &data, config, progress)?;
+    let held_out = match unexplained(&calibration) {
+        // Long fits that cannot succeed would not change the verdict.
+        true => Err("it does not explain the postures that it was fitted to".to_owned()),
+        false => hold_out(dataset, &data, config, progress)?,
+    };
     if let Err(reason) = &held_out {
         told.push(format!("the calibration was not judged on held-out postures: {reason}"));
     }
@@ -114,8 +127,8 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
     let pose_sigmas = pose_sigmas(dataset, &calibration)?;
     let [recorded_poses, workspace_poses] =
         [PostureSource::Recorded, PostureSource::Workspace].map(|source| PoseSigmaSummary::of(&pose_sigmas, source));
-    let scale = ScaleSource::of(dataset, &data, &calibration);
-    let Verdict { grade, sentence } = Verdict::of(&calibration, held_out.as_ref(), recorded_poses.as_ref(), scale);
+    let scale = Scale::of(dataset, &data, &calibration, &pose_sigmas);
+    let Verdict { grade, sentence } = Verdict::of(&calibration, held_out.as_ref(), recorded_poses.as_ref(), &scale);
     let rig = calibration.model.corrected_rig();
     let trajectory = localize(dataset, &rig)?;
     let (mask, camera_fixed) = match camera_fixed {
@@ -131,6 +144,8 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         version: env!("CARGO_PKG_VERSION").to_owned(),
         verdict: sentence,
         grade,
+        reasons: Vec::new(),
+        scale,
         rig: dataset.rig.name.clone(),
         counts: Counts {
             postures: dataset.len(),
@@ -170,7 +185,7 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
         stages: Vec::new(),
         peak_memory_mib: None,
     };
-    Ok(Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary, report })
+    Ok((Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary, report }, grade))
 }
 
 /// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the

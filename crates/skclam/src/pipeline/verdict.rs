@@ -1,14 +1,11 @@
 //! One sentence that a person who is no expert understands, and a traffic light.
 
-use super::{HeldOutSummary, PoseSigmaSummary};
-use crate::dataset::Dataset;
+use super::{HeldOutSummary, PoseSigmaSummary, Scale};
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Calibration, Correspondences, Parameter, Warning};
-use skclam_kinematics::ParameterKind;
-use std::fmt;
+use skclam_calibration::{Calibration, Warning};
 
 /// A traffic light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VerdictGrade {
     /// Better than the nominal rig on postures that the fit did not see.
@@ -28,57 +25,17 @@ pub struct Verdict {
     pub sentence: String,
 }
 
-/// Where lengths come from: images alone have no scale.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum ScaleSource {
-    /// The squares of the board.
-    Board,
-    /// The depth images.
-    Depth,
-    /// The positions that the controller gives.
-    FlangePoses,
-    /// Lengths that were not free.
-    NominalLengths,
-    /// Priors about nominal lengths.
-    Priors,
-}
-
-impl fmt::Display for ScaleSource {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            ScaleSource::Board => "the scale comes from the board",
-            ScaleSource::Depth => "the scale comes from the depth images",
-            ScaleSource::FlangePoses => "the scale comes from the controller's poses",
-            ScaleSource::NominalLengths => "the scale comes from the nominal lengths that were held",
-            ScaleSource::Priors => "the scale comes from the nominal lengths within their tolerances",
-        })
-    }
-}
-
-impl ScaleSource {
-    /// What tells lengths in this calibration.
-    pub fn of(dataset: &Dataset, data: &Correspondences, calibration: &Calibration) -> Self {
-        let is_free = |kind: ParameterKind| {
-            let of_kind = |parameter| matches!(parameter, Parameter::Chain(id) if id.kind == kind);
-            calibration.parameters.iter().any(|estimate| of_kind(estimate.parameter))
-        };
-        if !data.boards.is_empty() {
-            ScaleSource::Board
-        } else if !dataset.has_joints() {
-            ScaleSource::FlangePoses
-        } else if !is_free(ParameterKind::A) && !is_free(ParameterKind::D) {
-            ScaleSource::NominalLengths
-        } else if calibration.noise.depth_per_m.is_some() {
-            ScaleSource::Depth
-        } else {
-            ScaleSource::Priors
-        }
-    }
-}
-
 /// Matches that keep farther from their lines than this in the median are not explained by the rig, px: keypoints are
 /// found to a fraction of a pixel, and poor intrinsics add a pixel or so.
-const UNEXPLAINED_PX: f64 = 2.0;
+pub(super) const UNEXPLAINED_PX: f64 = 2.0;
+
+/// Whether a calibration does not even explain the postures that it was fitted to.
+pub(super) fn unexplained(calibration: &Calibration) -> bool {
+    // Without matches of natural features (a board alone) there are no epipolar distances.
+    let lines = &calibration.epipolar_after;
+    let contradicted = |warning: &Warning| matches!(warning, Warning::LargeResiduals { .. });
+    lines.matches > 0 && lines.median_px > UNEXPLAINED_PX || calibration.warnings.iter().any(contradicted)
+}
 
 impl Verdict {
     /// Of a calibration, how it fares on held-out postures, and what is known of the camera's poses.
@@ -86,7 +43,7 @@ impl Verdict {
         calibration: &Calibration,
         held_out: Option<&HeldOutSummary>,
         poses: Option<&PoseSigmaSummary>,
-        scale: ScaleSource,
+        scale: &Scale,
     ) -> Self {
         let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
         let told = |grade, sentence| Verdict { grade, sentence };
@@ -94,7 +51,6 @@ impl Verdict {
             "the median distance of a match to its epipolar line went from {:.2} to {:.2} px",
             before.median_px, after.median_px
         );
-        // Without matches of natural features (a board alone) there are no epipolar distances.
         if after.matches > 0 && after.median_px > UNEXPLAINED_PX {
             return told(
                 VerdictGrade::Bad,
@@ -112,10 +68,13 @@ impl Verdict {
             return told(
                 VerdictGrade::Bad,
                 format!(
-                    "DO NOT TRUST this calibration: even the sights that fit are {sigma:.1} px off. \
-                     Do matches contradict each other (repeated texture, a scene that moved)? Are enough parameters free?"
+                    "DO NOT TRUST this calibration: even the sights that fit are {sigma:.1} times as far off as features are uncertain. \
+                     Are the intrinsics right? Do matches contradict each other (repeated texture, a scene that moved)? Are enough parameters free?"
                 ),
             );
+        }
+        if let Some(suspicion) = scale.suspicion().filter(|suspicion| suspicion.certain) {
+            return told(VerdictGrade::Bad, format!("DO NOT TRUST this calibration: {}.", suspicion.text));
         }
         let Some(held_out) = held_out else {
             return if after.median_px < before.median_px {
@@ -156,7 +115,12 @@ impl Verdict {
                 short(change_mm),
                 short(sigma_mm)
             ),
-            None => format!("The calibrated rig is better {seen}; {scale}."),
+            None => {
+                let sentence = format!(
+                    "The calibrated rig is better {seen}, but how far off the camera still is was not estimated; {scale}."
+                );
+                return told(VerdictGrade::Caution, sentence);
+            }
         };
         told(VerdictGrade::Good, sentence)
     }
