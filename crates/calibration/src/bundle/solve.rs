@@ -26,9 +26,10 @@ const SAMPLE_SIGHTS: usize = 60_000;
 const LEAST_DEVIATION: f64 = 5e-6;
 /// Joints that stand farther off their values (sigma, rad; half a degree) are no encoders' noise: something else is wrong, and deviations must not swallow it.
 const LARGEST_DEVIATION: f64 = 8.7e-3;
-/// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more. A round in which the
-/// noise falls by half does not count.
+/// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more.
 const PATIENCE: [usize; 2] = [2, 4];
+/// Data as good as this (sigma beside what they say of themselves) are synthetic, and descend to rounding.
+const EXACT_SIGMA: f64 = 1e-2;
 /// What an adjustment is left with when patience has run out.
 const LEAST_ITERATIONS: usize = 10;
 /// Times that the sample is searched for postures that are wrong.
@@ -206,7 +207,7 @@ pub(super) struct Solve<'a> {
     pub parameters: &'a [Parameter],
     pub priors: &'a Priors,
     pub options: &'a BundleOptions,
-    /// Iterations of all adjustments so far in rounds that gained little.
+    /// Iterations of all adjustments so far on data that are not exact.
     pub spent: Cell<usize>,
 }
 
@@ -332,7 +333,7 @@ impl Solve<'_> {
                 let factor = (sigma / noise.deviation).clamp(0.3, 3.0);
                 next.deviation = (noise.deviation * factor * factor).clamp(LEAST_DEVIATION, LARGEST_DEVIATION);
             }
-            if next.pixel > 0.5 * noise.pixel {
+            if noise.pixel > EXACT_SIGMA {
                 vain += descent.iterations;
             }
             let change = |old: f64, new: f64| (new / old - 1.0).abs();
