@@ -45,9 +45,10 @@ impl StagedFolder {
         fs::create_dir_all(&parent).map_err(error(&parent))?;
         let staging = parent.join(format!(".{name}.partial-{}", std::process::id()));
         if staging.exists() {
-            fs::remove_dir_all(&staging).map_err(error(&staging))?;
+            fs::remove_dir_all(&staging).map_err(error(&destination))?;
         }
-        fs::create_dir(&staging).map_err(error(&staging))?;
+        // Errors name what was asked for: nobody knows the hidden folder.
+        fs::create_dir(&staging).map_err(error(&destination))?;
         Ok(StagedFolder { staging, destination, published: false })
     }
 
@@ -64,17 +65,17 @@ impl StagedFolder {
 
     /// Where to write a file until the folder is published. Sub-folders of `name` are made.
     pub fn path(&self, name: impl AsRef<Path>) -> Result<PathBuf, OutputError> {
-        let path = self.staging.join(name);
+        let path = self.staging.join(&name);
         if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent).map_err(|source| OutputError { path: parent.to_owned(), source })?;
+            fs::create_dir_all(parent).map_err(|source| OutputError { path: self.destination.join(&name), source })?;
         }
         Ok(path)
     }
 
     /// Writes a whole file.
     pub fn write(&self, name: impl AsRef<Path>, contents: impl AsRef<[u8]>) -> Result<(), OutputError> {
-        let path = self.path(name)?;
-        fs::write(&path, contents).map_err(|source| OutputError { path, source })
+        let path = self.path(&name)?;
+        fs::write(path, contents).map_err(|source| OutputError { path: self.destination.join(name), source })
     }
 
     /// Puts everything in its place: the folder by one rename where the destination is new, else file by file over
