@@ -5,7 +5,7 @@
 
 use crate::robust::median;
 use crate::{
-    BoardObservation, BundleOptions, CalibrationError, Correspondences, DeviationPolicy, Free, Loss, Model,
+    BoardObservation, BundleOptions, CalibrationError, Correspondences, PostureErrorPolicy, Free, Loss, Model,
     MountComponent, Parameter, PriorPolicy, ReprojectionStatistics, calibrate_bundle, without_postures,
 };
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
@@ -122,8 +122,10 @@ fn board_of(rig: &Rig, posture: usize) -> Result<&Board, CalibrationError> {
     rig.board.as_ref().ok_or(CalibrationError::Board { posture, reason })
 }
 
-fn sights(
+/// Camera poses, corners in the board's frame (with the size that the model gives its squares) and pixels. `errors`: of the single postures, or empty.
+fn corner_observations(
     model: &Model,
+    errors: &[f64],
     data: &Correspondences,
     postures: &[usize],
 ) -> Result<Vec<(Isometry3, Point3, Pixel)>, CalibrationError> {
@@ -131,9 +133,10 @@ fn sights(
     let mut sights = Vec::new();
     for seen in data.boards.iter().filter(|seen| postures.contains(&seen.posture)) {
         let board = board_of(&model.rig, seen.posture)?;
-        let base_from_camera = motion.pose(model, seen.posture, &[])?;
-        let point =
-            |&(column, row, pixel): &(u32, u32, Pixel)| (base_from_camera, point_in_board(board, column, row), pixel);
+        let base_from_camera = motion.pose(model, seen.posture, motion.error_of(errors, seen.posture))?;
+        let point = |&(column, row, pixel): &(u32, u32, Pixel)| {
+            (base_from_camera, point_in_board(board, column, row) * model.board_scale, pixel)
+        };
         sights.extend(seen.corners.iter().map(point));
     }
     Ok(sights)
@@ -145,15 +148,25 @@ pub fn base_from_board(
     data: &Correspondences,
     postures: &[usize],
 ) -> Result<Option<Isometry3>, CalibrationError> {
-    let sights = sights(model, data, postures)?;
+    base_from_board_with(model, &[], data, postures)
+}
+
+/// The same with the errors of the single postures.
+pub(crate) fn base_from_board_with(
+    model: &Model,
+    errors: &[f64],
+    data: &Correspondences,
+    postures: &[usize],
+) -> Result<Option<Isometry3>, CalibrationError> {
+    let motion = crate::motion::Motion::new(&model.rig, &data.postures)?;
+    let sights = corner_observations(model, errors, data, postures)?;
     let camera = &model.rig.color;
     let mut best: Option<(f64, Isometry3)> = None;
     // The start is the posture whose board fits the others best.
     for seen in data.boards.iter().filter(|seen| postures.contains(&seen.posture)) {
         let board = board_of(&model.rig, seen.posture)?;
         let Some(in_camera) = color_from_board(camera, board, &seen.corners) else { continue };
-        let base_from_camera =
-            crate::motion::Motion::new(&model.rig, &data.postures)?.pose(model, seen.posture, &[])?;
+        let base_from_camera = motion.pose(model, seen.posture, motion.error_of(errors, seen.posture))?;
         let start = base_from_camera * in_camera;
         let mut distances: Vec<f64> =
             sights.iter().map(|sight| residual(&start, sight, camera).map_or(f64::MAX, |(r, _)| r.norm())).collect();
@@ -175,7 +188,7 @@ pub fn board_residuals(
 ) -> Result<Option<ReprojectionStatistics>, CalibrationError> {
     data.check()?;
     let Some(pose) = base_from_board(model, data, laid_by)? else { return Ok(None) };
-    let sights = sights(model, data, seen_in)?;
+    let sights = corner_observations(model, &[], data, seen_in)?;
     let mut distances: Vec<f64> = sights
         .iter()
         .filter_map(|sight| residual(&pose, sight, &model.rig.color))
@@ -202,8 +215,8 @@ pub fn fit_mount_to_board(nominal: &Rig, data: &Correspondences) -> Result<Model
     let options = BundleOptions {
         free: Free::List(MountComponent::ALL.map(Parameter::Mount).to_vec()),
         priors: PriorPolicy::Never,
-        deviations: DeviationPolicy::Off,
-        leave_out_suspects: false,
+        posture_errors: PostureErrorPolicy::Off,
+        exclude_outlier_postures: false,
         ..Default::default()
     };
     Ok(calibrate_bundle(nominal, &only, &options)?.model)
@@ -284,7 +297,7 @@ mod tests {
     #[test]
     fn a_calibrated_arm_beats_a_fitted_mount_on_held_out_postures() {
         let (nominal, _, _, data) = recording(0.1, 33);
-        let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+        let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let groups: Vec<Vec<usize>> = (0..4).map(|fold| (5 * fold..5 * fold + 5).collect()).collect();
         let folds = cross_validate_board(&nominal, &data, &options, &groups, BoardPlace::AsTrained).unwrap();
         assert_eq!(folds.len(), 4);

@@ -41,6 +41,8 @@ pub struct TrackObservation {
     pub covariance: Matrix2<f64>,
     /// Measured z-depth of the point in the *colour* camera's frame, metres.
     pub depth_m: Option<f64>,
+    /// How the surface's z-depth changes with the normalised image coordinates x/z and y/z there, metres; zeros where that is not known.
+    pub depth_slope: [f64; 2],
 }
 
 /// A point of the scene that several images show.
@@ -125,7 +127,11 @@ impl Correspondences {
                 posture(&what(), observation.posture)?;
                 let c = &observation.covariance;
                 let depth = observation.depth_m.unwrap_or(1.0);
-                finite(&what, &[observation.pixel.x, observation.pixel.y, c[0], c[1], c[2], c[3], depth])?;
+                let [slope_x, slope_y] = observation.depth_slope;
+                finite(
+                    &what,
+                    &[observation.pixel.x, observation.pixel.y, c[0], c[1], c[2], c[3], depth, slope_x, slope_y],
+                )?;
                 let smallest = c[(0, 0)].min(c[(1, 1)]).min(c.determinant());
                 if smallest <= 0.0 {
                     return Err(CalibrationError::NotPositive { what: what(), value: smallest });
@@ -175,7 +181,7 @@ mod tests {
             posture: 1,
             pixel: Pixel::origin(),
             covariance: isotropic_covariance(1.0),
-            depth_m: Some(-1.0),
+            depth_m: Some(-1.0), depth_slope: [0.0; 2],
         };
         let track = Track { observations: vec![observation] };
         assert!(message(Correspondences { tracks: vec![track], ..two_postures() }).contains("track 0"));

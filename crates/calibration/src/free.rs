@@ -27,7 +27,7 @@ pub enum Free {
 /// The text is no selection of parameters.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{word}\" is neither auto, angles, all, nor a group (arm, lengths, mount, intrinsics, focal, depth, gears, compliance), nor a parameter: {reason}"
+    "\"{word}\" is neither auto, angles, all, nor a group (arm, lengths, mount, intrinsics, focal, depth, extrinsics, gears, compliance), nor a parameter: {reason}"
 )]
 pub struct ParseFreeError {
     /// The word that could not be read.
@@ -59,6 +59,7 @@ impl Free {
                 "intrinsics" => Intrinsic::ALL.map(Parameter::Intrinsic).to_vec(),
                 "focal" => vec![Parameter::Intrinsic(Intrinsic::Fx), Parameter::Intrinsic(Intrinsic::Fy)],
                 "depth" => vec![Parameter::DepthScale, Parameter::DepthOffset],
+                "extrinsics" => MountComponent::ALL.map(Parameter::DepthExtrinsic).to_vec(),
                 "gears" => (0..joints).flat_map(|j| [Parameter::GearSin(j), Parameter::GearCos(j)]).collect(),
                 "compliance" => (0..joints).map(Parameter::Compliance).collect(),
                 _ => vec![
@@ -89,8 +90,8 @@ impl Free {
     /// The ordered list of parameters that the selection stands for before the data are heard: arm (base to flange), mount,
     /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base end (what
     /// moves the whole world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
-    /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. `Auto` frees the depth's scale only where a board
-    /// or the controller's poses tell lengths.
+    /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. What cameras and board are off is free
+    /// too, within the tolerances of such devices ([`default_sigma`](crate::default_sigma)): it would else be booked on the arm.
     pub fn candidates(&self, rig: &Rig, has_joints: bool, has_depth: bool) -> Result<Vec<Parameter>, CalibrationError> {
         let mut list = match self {
             Free::Angles => angles(rig),
@@ -105,19 +106,17 @@ impl Free {
                 let chain = arm(rig).into_iter().map(Parameter::Chain).filter(|p| !gauge.contains(p));
                 let mut list: Vec<Parameter> = chain.collect();
                 list.extend(MountComponent::ALL.map(Parameter::Mount));
-                if *self == Free::All || !has_joints {
-                    // Flange poses leave only the camera to be wrong; with an arm its intrinsics are taken as calibrated.
-                    let intrinsics = if *self == Free::All { 9 } else { 5 };
-                    list.extend(Intrinsic::ALL[..intrinsics].iter().copied().map(Parameter::Intrinsic));
+                // The third radial coefficient is all but the second one's by another name.
+                let intrinsics = if *self == Free::All { 9 } else { 8 };
+                list.extend(Intrinsic::ALL[..intrinsics].iter().copied().map(Parameter::Intrinsic));
+                if has_depth {
+                    list.extend([Parameter::DepthScale, Parameter::DepthOffset]);
+                    list.extend(MountComponent::ALL.map(Parameter::DepthExtrinsic));
                 }
-                list.extend([Parameter::DepthScale, Parameter::DepthOffset]);
-                // With every length free and no board, depth alone gives the scale: its own must then be taken as true.
-                let depth_is_the_scale = *self == Free::Auto && has_joints && rig.board.is_none();
-                list.retain(|parameter| match parameter {
-                    Parameter::DepthScale if depth_is_the_scale => false,
-                    Parameter::DepthScale | Parameter::DepthOffset => has_depth,
-                    parameter => has_joints || !parameter.needs_joints(),
-                });
+                if rig.board.is_some() {
+                    list.push(Parameter::BoardScale);
+                }
+                list.retain(|parameter| has_joints || !parameter.needs_joints());
                 list
             }
         };
@@ -159,6 +158,16 @@ fn split_base(text: &str) -> (Option<Free>, Option<&str>) {
         "all" => (Some(Free::All), rest),
         _ => (None, Some(text)),
     }
+}
+
+/// The standard of length whose own error no residual shows: the board's squares, or the depth's scale where there is no board. `None` where lengths are held, where the
+/// controller's poses are the standard, or the free parameters are a list.
+pub(crate) fn ruler(rig: &Rig, free: &Free, parameters: &[Parameter], has_joints: bool) -> Option<Parameter> {
+    let lengths = parameters.iter().any(|p| matches!(p, Parameter::Chain(_)) && p.unit() == crate::Unit::Metre);
+    if !(free.is_open() && has_joints && lengths && rig.robot.is_some()) {
+        return None;
+    }
+    [Parameter::BoardScale, Parameter::DepthScale].into_iter().find(|ruler| parameters.contains(ruler))
 }
 
 fn arm(rig: &Rig) -> Vec<ParameterId> {
@@ -276,8 +285,9 @@ mod tests {
     #[test]
     fn auto_leaves_out_the_gauge_and_counts_24() {
         let list = Free::Auto.candidates(&hp3j(), true, false).unwrap();
-        assert_eq!(list.len(), 24);
-        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 25, "and the depth's offset");
+        assert_eq!(list.iter().filter(|parameter| !parameter.is_nuisance()).count(), 24);
+        assert_eq!(list.len(), 24 + 8, "and the camera's intrinsics");
+        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 32 + 8, "and what the depth may be off");
     }
 
     #[test]
@@ -285,12 +295,12 @@ mod tests {
         let rig = hp3j();
         let free = Free::parse("auto, gears,mount_x", &rig).unwrap();
         let list = free.candidates(&rig, true, true).unwrap();
-        assert_eq!(list.len(), 25 + 12, "the mount's x is there already");
-        assert_eq!(list[..25], Free::Auto.candidates(&rig, true, true).unwrap());
+        assert_eq!(list.len(), 40 + 12, "the mount's x is there already");
+        assert_eq!(list[..40], Free::Auto.candidates(&rig, true, true).unwrap());
         assert_eq!(free.to_string().parse::<Free>().unwrap(), free);
         assert!(free.is_open() && Free::parse("all,compliance", &rig).unwrap().is_open());
         let angles = Free::parse("auto,angles", &rig).unwrap().candidates(&rig, true, true).unwrap();
-        assert_eq!(angles.len(), 26, "theta_offset_6 is the gauge, which auto leaves out");
+        assert_eq!(angles.len(), 41, "theta_offset_6 is the gauge, which auto leaves out");
         for bad in ["auto,", "gears,auto", "auto,auto", ",", ""] {
             assert!(Free::parse(bad, &rig).is_err(), "{bad:?}");
         }

@@ -1,19 +1,26 @@
 //! How a calibration fares on postures that it was not fitted to.
 //!
-//! Only scene points and the board's pose are estimated anew; joint deviations are zero. Residuals are those of the sights in held-out
-//! postures, of the tracks that touch them. Three rigs stand side by side: the nominal one, the nominal arm with its mount fitted, and the calibrated
-//! one. A mount that was only a guess makes every calibration look good; whether the *arm* was worth calibrating shows beside the second.
+//! A group of postures is held out, the rig is fitted to the others, and the observations of the group are compared with where the fitted rig expects them: the scene
+//! and the board lie where the *other* postures saw them, joints are taken at their word, nothing is fitted to the group. Groups are arm positions
+//! ([`held_out_groups`]): images that were taken from one position share its errors, and a scene that is laid anew takes up what they have in common, so
+//! that the error of the arm would vanish from the metric. Three rigs stand side by side: the nominal one, the nominal arm with its mount fitted, and the
+//! calibrated one.
+//!
+//! The fits are a delete-a-group jackknife too ([`jackknife_ratio`]; Efron and Stein, "The jackknife estimate of variance", 1981): their scatter tells the covariance without any
+//! model of the noise.
 
-use crate::bundle::{OUTLIER_SIGMAS, Observations, compare};
+use crate::bundle::{OUTLIER_SIGMAS, Observations, compare, predicted_distances};
 use crate::motion::Motion;
+use crate::pose_covariance::spread_to_poses;
 use crate::robust::median;
 use crate::{
-    Calibration, CalibrationError, Correspondences, EpipolarStatistics, Model, ReprojectionStatistics,
-    epipolar_statistics,
+    Calibration, CalibrationError, Correspondences, EpipolarStatistics, Model, Parameter, ReprojectionStatistics,
+    epipolar_statistics, position_sigma_m,
 };
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use skclam_rig::Rig;
+use skclam_rig::{Posture, PostureState, Rig};
 
 /// The same figure of the rigs that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -57,15 +64,24 @@ pub struct Fold {
     pub held_out: Vec<usize>,
     /// The nominal rig against those fitted to all other postures.
     pub comparison: Comparison,
+    /// The free parameters of the fit less their nominal values, in their order and units.
+    pub offsets: Vec<f64>,
 }
 
 impl Fold {
-    /// The figure by which rigs are judged, px: RMS of the reprojection, or the median epipolar distance where there are pairs alone.
-    pub fn figure_px(&self) -> Rigs<f64> {
-        if self.comparison.reprojection.calibrated.observations > 0 {
-            self.comparison.reprojection.map(|statistics| statistics.rms_px)
+    /// The metric by which rigs are judged, px.
+    pub fn metric_px(&self) -> Rigs<f64> {
+        self.comparison.metric_px()
+    }
+}
+
+impl Comparison {
+    /// The metric by which rigs are judged, px: RMS of the reprojection, or the median epipolar distance where there are pairs alone.
+    pub fn metric_px(&self) -> Rigs<f64> {
+        if self.reprojection.calibrated.observations > 0 {
+            self.reprojection.map(|statistics| statistics.rms_px)
         } else {
-            self.comparison.epipolar.map(|statistics| statistics.median_px)
+            self.epipolar.map(|statistics| statistics.median_px)
         }
     }
 }
@@ -75,8 +91,8 @@ impl Fold {
 pub struct CrossValidation {
     /// In the order of the groups.
     pub folds: Vec<Fold>,
-    /// [`Fold::figure_px`] over all folds: RMS over their sights, or the mean of their medians.
-    pub figure_px: Rigs<f64>,
+    /// [`Fold::metric_px`] over all folds: RMS over their observations, or the mean of their medians.
+    pub metric_px: Rigs<f64>,
     /// Folds in which the calibrated rig is better than the nominal one.
     pub better_folds: usize,
 }
@@ -84,10 +100,60 @@ pub struct CrossValidation {
 /// Fits a rig to correspondences.
 pub type Estimate<'a> = dyn Fn(&Correspondences) -> Result<Calibration, CalibrationError> + Sync + 'a;
 
-/// `folds` runs of neighbouring postures of nearly equal length, which share more sights than scattered ones.
+/// `folds` runs of neighbouring postures of nearly equal length.
 pub fn neighbouring_folds(postures: usize, folds: usize) -> Vec<Vec<usize>> {
     let folds = folds.clamp(1, postures.max(1));
     (0..folds).map(|fold| (fold * postures / folds..(fold + 1) * postures / folds).collect()).collect()
+}
+
+/// Joints nearer than this to each other (rad, or m) stand at one place.
+const ONE_PLACE: f64 = 9e-3;
+
+/// Which arm position each posture belongs to, counted in the order of the recording: postures whose joints of the base half (the first three of six) stand at one
+/// place share what is off there. Flange poses are positions of their own.
+pub fn arm_positions(postures: &[Posture]) -> Vec<usize> {
+    let mut known: Vec<(usize, &[f64])> = Vec::new();
+    let mut next = 0;
+    let mut positions = Vec::with_capacity(postures.len());
+    for posture in postures {
+        let own = match &posture.state {
+            PostureState::Joints(values) => &values[..values.len().div_ceil(2)],
+            PostureState::FlangePose(_) => &[],
+        };
+        let near = |other: &[f64]| {
+            !own.is_empty()
+                && other.len() == own.len()
+                && other.iter().zip(own).all(|(a, b)| (a - b).abs() < ONE_PLACE)
+        };
+        let position = known.iter().find(|(_, other)| near(other)).map(|(position, _)| *position);
+        positions.push(position.unwrap_or(next));
+        if position.is_none() {
+            known.push((next, own));
+            next += 1;
+        }
+    }
+    positions
+}
+
+/// Groups of postures to be held out in turn: whole arm positions, neighbours in the recording, in at most `folds` groups of about equal size.
+pub fn held_out_groups(postures: &[Posture], folds: usize) -> Vec<Vec<usize>> {
+    let position = arm_positions(postures);
+    let count = position.iter().max().map_or(0, |last| last + 1);
+    if count < 2 {
+        return neighbouring_folds(postures.len(), folds);
+    }
+    let folds = folds.clamp(1, count);
+    let mut groups = vec![Vec::new(); folds];
+    let sizes: Vec<usize> = (0..count).map(|at| position.iter().filter(|p| **p == at).count()).collect();
+    let mut before = 0;
+    for (at, size) in sizes.iter().enumerate() {
+        // The middle of the position among all postures decides its group.
+        let group = ((2 * before + size) * folds / (2 * postures.len())).min(folds - 1);
+        groups[group].extend((0..postures.len()).filter(|&posture| position[posture] == at));
+        before += size;
+    }
+    groups.retain(|group: &Vec<usize>| !group.is_empty());
+    groups
 }
 
 /// Compares models on some postures. Sights count where one of the models fits them within 4.5 sigma (`sigma_px`, but at least 1 px).
@@ -168,6 +234,73 @@ pub fn without_postures(data: &Correspondences, held_out: &[usize]) -> Correspon
     rest
 }
 
+/// A rig as it was fitted, with what it says of the postures that it was fitted to.
+#[derive(Debug, Clone, Copy)]
+pub struct Trained<'a> {
+    /// The rig.
+    pub model: &'a Model,
+    /// Errors of the single postures, one after another ([`Calibration::posture_errors`]); empty for none.
+    pub posture_errors: &'a [f64],
+}
+
+/// Compares rigs on held-out postures, with scene and board where each rig's other postures saw them. Observations count where one of the rigs fits them, beside a gate that follows
+/// their median.
+pub fn compare_trained(
+    rigs: Rigs<Trained<'_>>,
+    data: &Correspondences,
+    held_out: &[usize],
+    sigma_px: f64,
+) -> Result<Comparison, CalibrationError> {
+    data.check()?;
+    let touching = Correspondences {
+        postures: data.postures.clone(),
+        pairs: data.pairs.iter().filter(|p| held_out.contains(&p.a) || held_out.contains(&p.b)).cloned().collect(),
+        ..Default::default()
+    };
+    let epipolar = |trained: Trained<'_>| epipolar_statistics(trained.model, &touching);
+    let distances = |trained: Trained<'_>| predicted_distances(trained.model, trained.posture_errors, data, held_out);
+    let nominal = distances(rigs.nominal)?;
+    let mount_only = rigs.mount_only.map(distances).transpose()?;
+    let calibrated = distances(rigs.calibrated)?;
+    let all = Rigs { nominal: &nominal[..], mount_only: mount_only.as_deref(), calibrated: &calibrated[..] };
+    Ok(Comparison {
+        reprojection: inliers_of_one(all, sigma_px),
+        epipolar: Rigs {
+            nominal: epipolar(rigs.nominal)?,
+            mount_only: rigs.mount_only.map(epipolar).transpose()?,
+            calibrated: epipolar(rigs.calibrated)?,
+        },
+    })
+}
+
+/// Statistics of distances (infinite where there is none) of the same observations, over those that fit one of the rigs.
+fn inliers_of_one(distances: Rigs<&[f64]>, sigma_px: f64) -> Rigs<ReprojectionStatistics> {
+    let of = |at: usize| {
+        let between = distances.mount_only.map(|list| list[at]);
+        (distances.nominal[at], between, distances.calibrated[at])
+    };
+    let known = |at: &usize| {
+        let (nominal, between, calibrated) = of(*at);
+        nominal.is_finite() && calibrated.is_finite() && between.is_none_or(f64::is_finite)
+    };
+    let known: Vec<usize> = (0..distances.calibrated.len()).filter(known).collect();
+    let best = |at: usize| {
+        let (nominal, between, calibrated) = of(at);
+        nominal.min(calibrated).min(between.unwrap_or(calibrated))
+    };
+    let middle = median(&mut known.iter().map(|&at| best(at)).collect::<Vec<_>>());
+    // The median of the norm of a two-dimensional normal is 1.18 sigma.
+    let gate = OUTLIER_SIGMAS * sigma_px.max(1.0).max(middle / 1.18);
+    let kept: Vec<usize> = known.into_iter().filter(|&at| best(at) < gate).collect();
+    let total = distances.calibrated.len();
+    let over = |list: &[f64]| statistics(&mut kept.iter().map(|&at| list[at]).collect::<Vec<_>>(), total);
+    Rigs {
+        nominal: over(distances.nominal),
+        mount_only: distances.mount_only.map(over),
+        calibrated: over(distances.calibrated),
+    }
+}
+
 /// Fits to all postures but those of a group, group by group, and compares with the nominal rig on the group. `mount_only` fits the mount
 /// alone; `done` is called after each group.
 pub fn cross_validate(
@@ -189,32 +322,69 @@ pub fn cross_validate(
         let (fitted, between) =
             rayon::join(|| estimate(&rest), || mount_only.map(|estimate| estimate(&rest)).transpose());
         let (fitted, between) = (fitted?, between?);
-        let models = Rigs {
-            nominal: &start,
-            mount_only: between.as_ref().map(|calibration| &calibration.model),
-            calibrated: &fitted.model,
+        let errors = |calibration: &Calibration| calibration.posture_errors.concat();
+        let (own, of_mount) = (errors(&fitted), between.as_ref().map(errors).unwrap_or_default());
+        let rigs = Rigs {
+            nominal: Trained { model: &start, posture_errors: &[] },
+            mount_only: between.as_ref().map(|fit| Trained { model: &fit.model, posture_errors: &of_mount }),
+            calibrated: Trained { model: &fitted.model, posture_errors: &own },
         };
-        let comparison = compare_models(models, data, held_out, fitted.noise.pixel)?;
+        let comparison = compare_trained(rigs, data, held_out, fitted.noise.pixel)?;
+        let offsets = fitted.parameters.iter().map(|estimate| estimate.value - estimate.nominal).collect();
         done();
-        Ok(Fold { held_out: held_out.clone(), comparison })
+        Ok(Fold { held_out: held_out.clone(), comparison, offsets })
     };
     let folds = groups.par_iter().map(one).collect::<Result<Vec<_>, CalibrationError>>()?;
     Ok(CrossValidation {
-        figure_px: Rigs {
+        metric_px: Rigs {
             nominal: joined(&folds, |rigs| Some(rigs.nominal)).unwrap_or_default(),
             mount_only: joined(&folds, |rigs| rigs.mount_only),
             calibrated: joined(&folds, |rigs| Some(rigs.calibrated)).unwrap_or_default(),
         },
-        better_folds: folds.iter().map(Fold::figure_px).filter(|px| px.calibrated < px.nominal).count(),
+        better_folds: folds.iter().map(Fold::metric_px).filter(|px| px.calibrated < px.nominal).count(),
         folds,
     })
 }
 
-/// A figure over all folds: root of the mean square over their sights, or the mean of their medians where there are pairs alone.
+/// By how much the variance of the camera's position over the recorded postures, as the scatter of the folds' fits has it (delete-a-group jackknife), exceeds the
+/// variance that the covariance of `whole` (the same estimate on all of the same data) claims without the part of the standard of length, which all folds
+/// share. `None` without a covariance, or with fewer than three folds.
+pub fn jackknife_ratio(
+    nominal: &Rig,
+    whole: &Calibration,
+    folds: &[Fold],
+    postures: &[Posture],
+) -> Result<Option<f64>, CalibrationError> {
+    let (Some(covariance), true) = (&whole.covariance, folds.len() >= 3) else { return Ok(None) };
+    let parameters: Vec<Parameter> = whole.parameters.iter().map(|estimate| estimate.parameter).collect();
+    if folds.iter().any(|fold| fold.offsets.len() != parameters.len()) {
+        return Ok(None);
+    }
+    let count = folds.len() as f64;
+    let offsets = |fold: &Fold| DVector::from_column_slice(&fold.offsets);
+    let mean = folds.iter().map(offsets).sum::<DVector<f64>>() / count;
+    let mut scatter = DMatrix::zeros(parameters.len(), parameters.len());
+    for fold in folds {
+        let away = offsets(fold) - &mean;
+        scatter += &away * away.transpose() * ((count - 1.0) / count);
+    }
+    let claimed = match whole.ruler.as_ref().and_then(|ruler| ruler.covariance.as_ref()) {
+        Some(considered) => covariance - considered,
+        None => covariance.clone(),
+    };
+    let variance = |covariance: &DMatrix<f64>| -> Result<f64, CalibrationError> {
+        let poses = spread_to_poses(nominal, &whole.model, &parameters, covariance, postures)?;
+        Ok(poses.iter().map(|pose| position_sigma_m(&pose.camera).powi(2)).sum())
+    };
+    let (scattered, claimed) = (variance(&scatter)?, variance(&claimed)?);
+    Ok((claimed > 0.0 && scattered.is_finite()).then(|| scattered / claimed))
+}
+
+/// A metric over all folds: root of the mean square over their sights, or the mean of their medians where there are pairs alone.
 fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64> {
     let weighted = folds.iter().map(|fold| {
         let inliers = fold.comparison.reprojection.as_ref().calibrated.inliers as f64;
-        Some((rig(fold.figure_px())?, inliers))
+        Some((rig(fold.metric_px())?, inliers))
     });
     let values = weighted.collect::<Option<Vec<(f64, f64)>>>()?;
     let sights: f64 = values.iter().map(|(_, inliers)| inliers).sum();
@@ -231,10 +401,10 @@ mod tests {
     use crate::synthetic::{
         diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
     };
-    use crate::{BundleOptions, DeviationPolicy, Free, MountComponent, Parameter, calibrate_bundle};
+    use crate::{BundleOptions, PostureErrorPolicy, Free, MountComponent, Parameter, calibrate_bundle};
 
     fn estimate(nominal: &Rig, free: Free, data: &Correspondences) -> Result<Calibration, CalibrationError> {
-        calibrate_bundle(nominal, data, &BundleOptions { free, deviations: DeviationPolicy::Off, ..Default::default() })
+        calibrate_bundle(nominal, data, &BundleOptions { free, posture_errors: PostureErrorPolicy::Off, ..Default::default() })
     }
 
     #[test]
@@ -254,14 +424,14 @@ mod tests {
         };
         let result = validate(&hp3j(), &groups).unwrap();
         assert_eq!(result.better_folds, 3);
-        let Rigs { nominal, mount_only, calibrated } = result.figure_px;
+        let Rigs { nominal, mount_only, calibrated } = result.metric_px;
         let mount_only = mount_only.unwrap();
         assert!(
             calibrated < 1.0 && nominal > 2.0 && mount_only > 2.0 * calibrated && mount_only < nominal,
             "{result:?}"
         );
         // A nominal rig that is true is not beaten.
-        let honest = validate(&truth, &groups).unwrap().figure_px;
+        let honest = validate(&truth, &groups).unwrap().metric_px;
         assert!(honest.calibrated > 0.98 * honest.nominal, "{honest:?}");
         assert!(validate(&truth, &[vec![99]]).is_err());
 
@@ -278,6 +448,6 @@ mod tests {
         let comparison = compare_models(models, &pairs, &groups[1], 0.5).unwrap();
         assert_eq!(comparison.reprojection.calibrated.observations, 0);
         let fold = Fold { held_out: groups[1].clone(), comparison };
-        assert!(fold.figure_px().calibrated < 0.5 * fold.figure_px().nominal, "{fold:?}");
+        assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");
     }
 }

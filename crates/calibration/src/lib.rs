@@ -35,7 +35,8 @@ pub use board::{
     BoardFold, BoardPlace, base_from_board, board_residuals, color_from_board, cross_validate_board, fit_mount_to_board,
 };
 pub use bundle::{
-    BundleOptions, DeviationPolicy, ExpectationOptions, ExpectedCalibration, calibrate_bundle, expected_calibration,
+    BundleOptions, ErrorKind, ExpectationOptions, ExpectedCalibration, PostureErrorPolicy, RulerPolicy, calibrate_bundle,
+    expected_calibration,
 };
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
@@ -45,18 +46,20 @@ pub use error::CalibrationError;
 pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};
 pub use held_out::{
-    Comparison, CrossValidation, Estimate, Fold, Rigs, compare_models, cross_validate, neighbouring_folds,
-    without_postures,
+    Comparison, CrossValidation, Estimate, Fold, Rigs, Trained, arm_positions, compare_models, compare_trained,
+    cross_validate, held_out_groups, jackknife_ratio, neighbouring_folds, without_postures,
 };
 pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
 pub use model::{DepthCorrection, Model};
 pub use mount_search::find_mount;
 pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};
-pub use outcome::{Calibration, Noise, ParameterEstimate, PostureFit, ReprojectionStatistics};
+pub use outcome::{
+    Calibration, Noise, ParameterEstimate, PostureErrorKnowledge, PostureFit, PriorScale, ReprojectionStatistics, Ruler,
+};
 pub use pairwise::{PairwiseOptions, Search, calibrate_pairwise, calibrate_pairwise_from};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
 pub use pose_covariance::{PoseCovariance, orientation_sigma_rad, pose_covariances, position_sigma_m};
-pub use prior::{PriorPolicy, default_sigma, stated_sigma};
+pub use prior::{PriorGroup, PriorPolicy, default_sigma, stated_sigma};
 pub use reprojection_residuals::{ReprojectionResidual, reprojection_residuals};
 pub use robust::Loss;
 pub use termination::{StopReason, Termination};

@@ -1,9 +1,10 @@
 //! The calibrated state: a rig, and how its measured depth is to be read.
 
-use crate::{CalibrationError, Parameter};
+use crate::{CalibrationError, MountComponent, Parameter};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-use skclam_rig::{JointCorrection, JointCorrections, Rig};
+use skclam_geometry::Isometry3;
+use skclam_rig::{BoardPattern, JointCorrection, JointCorrections, Rig};
 
 /// `z = offset + scale z_measured`, metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -12,12 +13,20 @@ pub struct DepthCorrection {
     pub scale: f64,
     /// Metres.
     pub offset_m: f64,
+    /// What the depth camera's place beside the colour camera is off: translation, metres, then rotation vector, radians, in the colour camera's
+    /// axes; `color_from_depth` is `Exp` of it times what the rig says.
+    pub extrinsics: [f64; 6],
 }
 
 impl Default for DepthCorrection {
     fn default() -> Self {
-        DepthCorrection { scale: 1.0, offset_m: 0.0 }
+        DepthCorrection { scale: 1.0, offset_m: 0.0, extrinsics: [0.0; 6] }
     }
+}
+
+/// Place of a component in [`DepthCorrection::extrinsics`]: translations first.
+pub(crate) fn extrinsic_index(component: MountComponent) -> usize {
+    component.axis() + if component.is_rotation() { 3 } else { 0 }
 }
 
 /// A rig, and how its measured depth is to be read.
@@ -27,6 +36,8 @@ pub struct Model {
     pub rig: Rig,
     /// Of the measured depth.
     pub depth: DepthCorrection,
+    /// The board's squares as a multiple of what the rig says.
+    pub board_scale: f64,
 }
 
 impl Model {
@@ -34,7 +45,7 @@ impl Model {
     pub fn new(mut rig: Rig) -> Self {
         let joints = rig.robot.as_ref().map_or(0, |robot| robot.joint_count());
         rig.joint_corrections.joints.resize(joints, JointCorrection::default());
-        Model { rig, depth: DepthCorrection::default() }
+        Model { rig, depth: DepthCorrection::default(), board_scale: 1.0 }
     }
 
     /// The rig with the depth correction worked into its depth camera's unit and offset.
@@ -43,6 +54,15 @@ impl Model {
         if let Some(depth) = &mut rig.depth {
             depth.unit_m *= self.depth.scale;
             depth.offset_m = self.depth.offset_m + self.depth.scale * depth.offset_m;
+            let [x, y, z, rx, ry, rz] = self.depth.extrinsics;
+            depth.color_from_depth =
+                Isometry3::new(Vector3::new(x, y, z), Vector3::new(rx, ry, rz)) * depth.color_from_depth;
+        }
+        if let Some(board) = &mut rig.board {
+            board.square_m *= self.board_scale;
+            if let BoardPattern::Charuco { marker_um, .. } = &mut board.pattern {
+                *marker_um = (*marker_um as f64 * self.board_scale).round() as u64;
+            }
         }
         if rig.joint_corrections.is_none() {
             rig.joint_corrections = JointCorrections::default();
@@ -63,6 +83,8 @@ impl Model {
             Parameter::Intrinsic(intrinsic) => self.rig.color.intrinsics()[intrinsic as usize],
             Parameter::DepthScale => self.depth.scale,
             Parameter::DepthOffset => self.depth.offset_m,
+            Parameter::DepthExtrinsic(component) => self.depth.extrinsics[extrinsic_index(component)],
+            Parameter::BoardScale => self.board_scale,
             Parameter::TimeOffset => self.rig.joint_corrections.time_offset_s,
             Parameter::GearSin(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_sin,
             Parameter::GearCos(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_cos,
@@ -94,6 +116,8 @@ impl Model {
                 Parameter::Intrinsic(intrinsic) => intrinsics[intrinsic as usize] += change,
                 Parameter::DepthScale => model.depth.scale += change,
                 Parameter::DepthOffset => model.depth.offset_m += change,
+                Parameter::DepthExtrinsic(component) => model.depth.extrinsics[extrinsic_index(component)] += change,
+                Parameter::BoardScale => model.board_scale += change,
                 Parameter::TimeOffset => model.rig.joint_corrections.time_offset_s += change,
                 Parameter::GearSin(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_sin += change,
                 Parameter::GearCos(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_cos += change,

@@ -27,7 +27,7 @@ pub(crate) struct CameraMotion {
     pub base_from_camera: Isometry3,
     /// One a parameter; zero for those that do not move the camera.
     pub by_parameter: Vec<Vector6<f64>>,
-    /// One a joint; empty for flange poses.
+    /// One an error component of the posture: its joints, or the six of a flange pose ([`Motion::error_components`]).
     pub by_joint: Vec<Vector6<f64>>,
 }
 
@@ -55,27 +55,50 @@ impl Motion {
         !self.postures.is_empty() && self.postures.iter().all(|posture| matches!(posture, PostureMotion::Joints { .. }))
     }
 
-    /// Camera pose of a posture. `deviation`: what its joints stood off their values; empty for none.
-    pub(crate) fn pose(&self, model: &Model, posture: usize, deviation: &[f64]) -> Result<Isometry3, CalibrationError> {
+    /// How many numbers the error of one posture has: one a joint, or six where only flange poses are known (translation of the flange, then its rotation
+    /// vector, in its own axes); 0 where some postures give joints and others flange poses.
+    pub(crate) fn error_components(&self) -> usize {
+        let of = |posture: &PostureMotion| match posture {
+            PostureMotion::Joints { readings, .. } => readings.len(),
+            PostureMotion::Flange(_) => 6,
+        };
+        match self.postures.first() {
+            Some(first) if self.has_joints() || self.postures.iter().all(|p| matches!(p, PostureMotion::Flange(_))) => {
+                of(first)
+            }
+            _ => 0,
+        }
+    }
+
+    /// The readings of a posture's joints; empty for a flange pose.
+    pub(crate) fn readings(&self, posture: usize) -> &[JointReading] {
+        match &self.postures[posture] {
+            PostureMotion::Joints { readings, .. } => readings,
+            PostureMotion::Flange(_) => &[],
+        }
+    }
+
+    /// Camera pose of a posture. `error`: the posture's error ([`Motion::error_components`]); empty for none.
+    pub(crate) fn pose(&self, model: &Model, posture: usize, error: &[f64]) -> Result<Isometry3, CalibrationError> {
         let base_from_flange = match &self.postures[posture] {
-            PostureMotion::Flange(base_from_flange) => *base_from_flange,
+            PostureMotion::Flange(base_from_flange) => base_from_flange * flange_error(error),
             PostureMotion::Joints { index, readings } => {
                 let robot = model.rig.robot.as_ref().ok_or(RigError::NoRobot { index: *index })?;
-                robot.base_from_flange(&corrected(model, readings, deviation))?
+                robot.base_from_flange(&corrected(model, readings, error))?
             }
         };
         Ok(base_from_flange * model.rig.flange_from_color)
     }
 
-    /// Camera poses of all postures. `deviations`: joint by joint, posture by posture; empty for none.
-    pub(crate) fn poses(&self, model: &Model, deviations: &[f64]) -> Result<Vec<Isometry3>, CalibrationError> {
-        (0..self.len()).map(|posture| self.pose(model, posture, self.deviation(deviations, posture))).collect()
+    /// Camera poses of all postures. `errors`: component by component, posture by posture; empty for none.
+    pub(crate) fn poses(&self, model: &Model, errors: &[f64]) -> Result<Vec<Isometry3>, CalibrationError> {
+        (0..self.len()).map(|posture| self.pose(model, posture, self.error_of(errors, posture))).collect()
     }
 
-    /// The part of `deviations` that belongs to a posture.
-    pub(crate) fn deviation<'a>(&self, deviations: &'a [f64], posture: usize) -> &'a [f64] {
-        let joints = deviations.len().checked_div(self.len()).unwrap_or(0);
-        &deviations[posture * joints..(posture + 1) * joints]
+    /// The part of `errors` that belongs to a posture.
+    pub(crate) fn error_of<'a>(&self, errors: &'a [f64], posture: usize) -> &'a [f64] {
+        let components = errors.len().checked_div(self.len()).unwrap_or(0);
+        &errors[posture * components..(posture + 1) * components]
     }
 
     /// Camera pose and its derivatives.
@@ -84,13 +107,16 @@ impl Motion {
         model: &Model,
         parameters: &[Parameter],
         posture: usize,
-        deviation: &[f64],
+        error: &[f64],
     ) -> Result<CameraMotion, CalibrationError> {
         let (base_from_flange, chain, by_joint, readings) = match &self.postures[posture] {
-            PostureMotion::Flange(pose) => (*pose, Vec::new(), Vec::new(), &[][..]),
+            PostureMotion::Flange(pose) => {
+                let base_from_flange = pose * flange_error(error);
+                (base_from_flange, Vec::new(), flange_twists(&base_from_flange), &[][..])
+            }
             PostureMotion::Joints { index, readings } => {
                 let robot = model.rig.robot.as_ref().ok_or(RigError::NoRobot { index: *index })?;
-                let jacobian = robot.jacobian(&corrected(model, readings, deviation))?;
+                let jacobian = robot.jacobian(&corrected(model, readings, error))?;
                 (jacobian.base_from_flange, jacobian.by_parameter, jacobian.by_joint, &readings[..])
             }
         };
@@ -120,16 +146,33 @@ impl Motion {
             Parameter::Compliance(joint) => {
                 by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].lever)
             }
-            Parameter::Intrinsic(_) | Parameter::DepthScale | Parameter::DepthOffset => Vector6::zeros(),
+            Parameter::Intrinsic(_)
+            | Parameter::DepthScale
+            | Parameter::DepthOffset
+            | Parameter::DepthExtrinsic(_)
+            | Parameter::BoardScale => Vector6::zeros(),
         };
         let by_parameter = parameters.iter().map(column).collect();
         Ok(CameraMotion { base_from_camera, by_parameter, by_joint })
     }
 }
 
-fn corrected(model: &Model, readings: &[JointReading], deviation: &[f64]) -> Vec<f64> {
+/// The error of a flange pose in the flange's own axes: translation, then rotation vector; none where it is empty.
+fn flange_error(error: &[f64]) -> Isometry3 {
+    match *error {
+        [x, y, z, rx, ry, rz] => Isometry3::new(Vector3::new(x, y, z), Vector3::new(rx, ry, rz)),
+        _ => Isometry3::identity(),
+    }
+}
+
+/// Twists of the base frame that the six components of a flange pose's error make, to first order about no error.
+fn flange_twists(base_from_flange: &Isometry3) -> Vec<Vector6<f64>> {
+    (0..6).map(|component| in_base(base_from_flange, &Vector6::ith(component, 1.0))).collect()
+}
+
+fn corrected(model: &Model, readings: &[JointReading], error: &[f64]) -> Vec<f64> {
     let mut values = model.rig.joint_corrections.applied(readings);
-    values.iter_mut().zip(deviation).for_each(|(value, deviation)| *value += deviation);
+    values.iter_mut().zip(error).for_each(|(value, error)| *value += error);
     values
 }
 

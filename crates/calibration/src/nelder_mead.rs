@@ -204,7 +204,10 @@ pub fn calibrate_nelder_mead(
         reprojection_after: None,
         noise: Noise { pixel: epipolar_after.median_sampson_px * 1.4826, ..Noise::default() },
         postures: Vec::new(),
-        joint_deviations: Vec::new(),
+        ruler: None,
+        prior_scales: Vec::new(),
+        posture_errors: Vec::new(),
+        posture_error_knowledge: None,
         termination: Termination {
             reason,
             iterations,

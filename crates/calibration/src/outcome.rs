@@ -1,7 +1,7 @@
 //! What an estimator hands back.
 
-use crate::{EpipolarStatistics, Identifiability, Model, Parameter, Termination, Warning};
-use nalgebra::DMatrix;
+use crate::{EpipolarStatistics, Identifiability, Model, Parameter, PriorGroup, Termination, Warning};
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 /// A calibrated model and all that is known about it.
@@ -28,12 +28,70 @@ pub struct Calibration {
     pub noise: Noise,
     /// One a posture: how well it fits.
     pub postures: Vec<PostureFit>,
-    /// What each joint stood off its value, rad or m, posture by posture; empty where it was not estimated.
-    pub joint_deviations: Vec<Vec<f64>>,
+    /// The standard of length that no residual tests; `None` where there is none.
+    pub ruler: Option<Ruler>,
+    /// Prior sigmas of the arm's parameters that the evidence chose.
+    pub prior_scales: Vec<PriorScale>,
+    /// What each joint was off its value (rad or m), or a flange pose its own (m, then rad), posture by posture; empty where it was not estimated.
+    pub posture_errors: Vec<Vec<f64>>,
+    /// The same with its covariance; `None` where it was not estimated.
+    pub posture_error_knowledge: Option<PostureErrorKnowledge>,
     /// How the solver ended.
     pub termination: Termination,
     /// What a person should hear of.
     pub warnings: Vec<Warning>,
+}
+
+/// The standard of length of a calibration: its own error is in no residual.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ruler {
+    /// The scale of the board's squares, or of the depth.
+    pub parameter: Parameter,
+    /// How well it is known beforehand: a fraction.
+    pub sigma: f64,
+    /// What of the covariance it makes; `None` where it was estimated like the others.
+    pub covariance: Option<DMatrix<f64>>,
+}
+
+/// A prior sigma that the evidence chose.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PriorScale {
+    /// Of which parameters.
+    pub group: PriorGroup,
+    /// In their unit, rad or m.
+    pub sigma: f64,
+}
+
+/// The errors of single postures as the data have them: normal, with everything else unknown.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PostureErrorKnowledge {
+    /// Components of one posture's error.
+    pub components: usize,
+    /// Component by component, posture by posture, rad or m.
+    pub mean: DVector<f64>,
+    /// Of the mean.
+    pub covariance: DMatrix<f64>,
+    /// Prior sigma of each.
+    pub sigmas: Vec<f64>,
+}
+
+impl Calibration {
+    /// Makes the covariance (but for the part of the standard of length) wider by a ratio of variances above 1, and the sigmas with it: what is reported is never below what
+    /// the data show.
+    pub fn widen(&mut self, ratio: f64) {
+        let Some(covariance) = &mut self.covariance else { return };
+        if !(ratio > 1.0 && ratio.is_finite()) {
+            return;
+        }
+        let considered = self.ruler.as_ref().and_then(|ruler| ruler.covariance.clone());
+        let considered = considered.unwrap_or_else(|| DMatrix::zeros(covariance.nrows(), covariance.ncols()));
+        *covariance = (&*covariance - &considered) * ratio + considered;
+        for (k, estimate) in self.parameters.iter_mut().enumerate() {
+            if let Some(sigma) = &mut estimate.sigma {
+                *sigma = covariance[(k, k)].max(0.0).sqrt();
+            }
+        }
+    }
 }
 
 /// A free parameter before and after.
@@ -71,8 +129,10 @@ pub struct Noise {
     pub pixel: f64,
     /// `s` of `sigma = s z^2` of the measured depth, 1/m; `None` without depth.
     pub depth_per_m: Option<f64>,
-    /// Sigma of the joint deviations, rad; `None` where they were not estimated.
-    pub joint_deviation: Option<f64>,
+    /// Sigma of the angular errors of single postures (revolute joints, or the rotation of a flange pose), rad; `None` where they were not estimated.
+    pub posture_angular: Option<f64>,
+    /// The same of the linear ones (prismatic joints, or the translation of a flange pose), m.
+    pub posture_linear: Option<f64>,
     /// Fraction of the correspondences that do not fit.
     pub outlier_fraction: f64,
 }

@@ -12,7 +12,7 @@ use crate::levenberg_marquardt::{
 };
 use crate::motion::Motion;
 use crate::pairwise_system::{Linearized, PairwiseSystem};
-use crate::prior::{self, Priors};
+use crate::prior::Priors;
 use crate::robust::{coarse_scale, median, noise_scale};
 use crate::{
     Calibration, CalibrationError, Correspondences, Free, Loss, Model, Noise, PairMatches, Parameter, PostureFit,
@@ -245,7 +245,7 @@ pub fn calibrate_pairwise_from(
     data.check()?;
     let motion = Motion::new(nominal, &data.postures)?;
     let parameters = free_parameters(&options.free, nominal, &motion)?;
-    let priors = Priors { sigmas: prior::sigmas(nominal, &options.free, options.priors, &parameters) };
+    let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let mut warnings = Vec::new();
     if !motion.has_joints() && parameters.iter().all(|parameter| !parameter.needs_joints()) {
         warnings.push(Warning::FlangePosesOnly);
@@ -264,7 +264,7 @@ pub fn calibrate_pairwise_from(
         touched[pair.b] = true;
     });
     let unseen = data.postures.iter().enumerate().filter(|(posture, _)| !touched[*posture]);
-    warnings.extend(unseen.map(|(posture, p)| Warning::UnseenPosture { posture, index: p.index }));
+    warnings.extend(unseen.map(|(posture, p)| Warning::UnobservedPosture { posture, index: p.index }));
     let matches: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
     let need = (2 * parameters.len()).max(8);
     if matches < need {
@@ -345,7 +345,10 @@ pub fn calibrate_pairwise_from(
         reprojection_after: None,
         noise: Noise { pixel: round.sigma, outlier_fraction, ..Noise::default() },
         postures,
-        joint_deviations: Vec::new(),
+        ruler: None,
+        prior_scales: Vec::new(),
+        posture_errors: Vec::new(),
+        posture_error_knowledge: None,
         termination: Termination {
             reason,
             iterations: effort.iterations,
@@ -361,9 +364,13 @@ pub fn calibrate_pairwise_from(
 
 /// The selection without what Sampson distances cannot hear of: depth.
 fn free_parameters(free: &Free, nominal: &Rig, motion: &Motion) -> Result<Vec<Parameter>, CalibrationError> {
-    let parameters = free.candidates(nominal, motion.has_joints(), false)?;
-    if let Some(&parameter) = parameters.iter().find(|p| matches!(p, Parameter::DepthScale | Parameter::DepthOffset)) {
-        let reason = "epipolar distances do not depend on depth; use the bundle adjustment".to_owned();
+    let mut parameters = free.candidates(nominal, motion.has_joints(), false)?;
+    let blind = |p: &Parameter| !p.moves_camera() && !matches!(p, Parameter::Intrinsic(_));
+    if free.is_open() {
+        parameters.retain(|parameter| !blind(parameter));
+    }
+    if let Some(&parameter) = parameters.iter().find(|p| blind(p)) {
+        let reason = "epipolar distances depend on neither depth nor board; use the bundle adjustment".to_owned();
         return Err(CalibrationError::NoSuchParameter { parameter, reason });
     }
     if parameters.is_empty() {

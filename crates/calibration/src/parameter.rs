@@ -47,6 +47,10 @@ pub enum Parameter {
     DepthScale,
     /// `a` of `z = a + b z_measured`, metres.
     DepthOffset,
+    /// A component of what `color_from_depth` is off: the depth camera's place beside the colour camera, in the colour camera's axes, about its centre.
+    DepthExtrinsic(MountComponent),
+    /// The board's squares as a multiple of what the rig says.
+    BoardScale,
     /// Seconds by which the joints must be taken later than the posture's timestamp says.
     TimeOffset,
     /// Gear error of a joint: its true value is greater by this times the sine of its encoder value. Radians.
@@ -67,6 +71,20 @@ pub enum Unit {
     One,
     Second,
     RadianPerMetre,
+}
+
+impl Unit {
+    /// Factor to the unit of files and screens, and its name ("" for plain numbers).
+    pub fn of_files(self) -> (f64, &'static str) {
+        match self {
+            Unit::Radian => (1f64.to_degrees(), "deg"),
+            Unit::Metre => (1e3, "mm"),
+            Unit::Pixel => (1.0, "px"),
+            Unit::One => (1.0, ""),
+            Unit::Second => (1.0, "s"),
+            Unit::RadianPerMetre => (1f64.to_degrees(), "deg/m"),
+        }
+    }
 }
 
 impl MountComponent {
@@ -107,6 +125,7 @@ impl Intrinsic {
 }
 
 const MOUNT_NAMES: [&str; 6] = ["mount_rx", "mount_ry", "mount_rz", "mount_x", "mount_y", "mount_z"];
+const EXTRINSIC_NAMES: [&str; 6] = ["depth_rx", "depth_ry", "depth_rz", "depth_x", "depth_y", "depth_z"];
 const INTRINSIC_NAMES: [&str; 9] = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"];
 
 impl Parameter {
@@ -115,10 +134,10 @@ impl Parameter {
         match self {
             Parameter::Chain(id) if id.kind.is_angle() => Unit::Radian,
             Parameter::Chain(_) | Parameter::DepthOffset => Unit::Metre,
-            Parameter::Mount(component) if component.is_rotation() => Unit::Radian,
-            Parameter::Mount(_) => Unit::Metre,
+            Parameter::Mount(component) | Parameter::DepthExtrinsic(component) if component.is_rotation() => Unit::Radian,
+            Parameter::Mount(_) | Parameter::DepthExtrinsic(_) => Unit::Metre,
             Parameter::Intrinsic(Intrinsic::Fx | Intrinsic::Fy | Intrinsic::Cx | Intrinsic::Cy) => Unit::Pixel,
-            Parameter::Intrinsic(_) | Parameter::DepthScale => Unit::One,
+            Parameter::Intrinsic(_) | Parameter::DepthScale | Parameter::BoardScale => Unit::One,
             Parameter::TimeOffset => Unit::Second,
             Parameter::GearSin(_) | Parameter::GearCos(_) => Unit::Radian,
             Parameter::Compliance(_) => Unit::RadianPerMetre,
@@ -149,6 +168,12 @@ impl Parameter {
         )
     }
 
+    /// Whether the parameter belongs to the instruments that look at the scene (cameras, board) and to neither arm nor mount: what the answer has to be
+    /// independent of.
+    pub fn is_nuisance(self) -> bool {
+        !self.moves_camera()
+    }
+
     /// Whether the parameter moves the camera.
     pub fn moves_camera(self) -> bool {
         self.needs_joints() || matches!(self, Parameter::Mount(_))
@@ -163,6 +188,8 @@ impl fmt::Display for Parameter {
             Parameter::Intrinsic(intrinsic) => f.write_str(INTRINSIC_NAMES[intrinsic as usize]),
             Parameter::DepthScale => f.write_str("depth_scale"),
             Parameter::DepthOffset => f.write_str("depth_offset"),
+            Parameter::DepthExtrinsic(component) => f.write_str(EXTRINSIC_NAMES[component as usize]),
+            Parameter::BoardScale => f.write_str("board_scale"),
             Parameter::TimeOffset => f.write_str("time_offset"),
             Parameter::GearSin(joint) => write!(f, "gear_sin_{}", joint + 1),
             Parameter::GearCos(joint) => write!(f, "gear_cos_{}", joint + 1),
@@ -174,7 +201,7 @@ impl fmt::Display for Parameter {
 /// The text names no parameter.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{0}\" is no parameter; expected alpha_K, a_K, beta_K, theta_offset_K, d_K (K a joint, from 1), mount_rx|ry|rz|x|y|z, fx, fy, cx, cy, k1, k2, p1, p2, k3, depth_scale, depth_offset, time_offset, gear_sin_K, gear_cos_K or compliance_K"
+    "\"{0}\" is no parameter; expected alpha_K, a_K, beta_K, theta_offset_K, d_K (K a joint, from 1), mount_rx|ry|rz|x|y|z, fx, fy, cx, cy, k1, k2, p1, p2, k3, depth_scale, depth_offset, depth_rx|ry|rz|x|y|z, board_scale, time_offset, gear_sin_K, gear_cos_K or compliance_K"
 )]
 pub struct ParseParameterError(pub String);
 
@@ -189,7 +216,11 @@ impl FromStr for Parameter {
         if let Some(at) = INTRINSIC_NAMES.iter().position(|name| *name == text) {
             return Ok(Parameter::Intrinsic(Intrinsic::ALL[at]));
         }
+        if let Some(at) = EXTRINSIC_NAMES.iter().position(|name| *name == text) {
+            return Ok(Parameter::DepthExtrinsic(MountComponent::ALL[at]));
+        }
         match text {
+            "board_scale" => return Ok(Parameter::BoardScale),
             "depth_scale" => return Ok(Parameter::DepthScale),
             "depth_offset" => return Ok(Parameter::DepthOffset),
             "time_offset" => return Ok(Parameter::TimeOffset),
@@ -241,7 +272,8 @@ mod tests {
             .flat_map(|joint| kinds.map(|kind| Parameter::Chain(ParameterId { joint, kind })))
             .chain(MountComponent::ALL.map(Parameter::Mount))
             .chain(Intrinsic::ALL.map(Parameter::Intrinsic))
-            .chain([Parameter::DepthScale, Parameter::DepthOffset, Parameter::TimeOffset])
+            .chain(MountComponent::ALL.map(Parameter::DepthExtrinsic))
+            .chain([Parameter::DepthScale, Parameter::DepthOffset, Parameter::BoardScale, Parameter::TimeOffset])
             .chain([Parameter::GearSin(2), Parameter::GearCos(0), Parameter::Compliance(5)]);
         for parameter in all {
             assert_eq!(parameter.to_string().parse::<Parameter>().unwrap(), parameter);

@@ -79,7 +79,7 @@ pub(crate) fn spread_to_poses(
 mod tests {
     use super::*;
     use crate::synthetic::{diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record, room, seeded};
-    use crate::{BundleOptions, DeviationPolicy, Free, calibrate_bundle};
+    use crate::{BundleOptions, PostureErrorPolicy, Free, calibrate_bundle};
     use nalgebra::DVector;
 
     #[test]
@@ -88,7 +88,7 @@ mod tests {
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         let postures = diverse_postures(&hp3j(), 20, &mut rng);
         let data = record(&truth, &postures, &room(500, &mut rng), half_pixel(), &mut rng);
-        let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+        let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let calibration = calibrate_bundle(&hp3j(), &data, &options).unwrap();
         let told = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
 

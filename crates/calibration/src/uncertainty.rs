@@ -71,31 +71,20 @@ pub(crate) fn estimates(
     parameters.iter().enumerate().map(tell).collect()
 }
 
-/// What an information matrix says of the parameters.
-pub(crate) struct Told {
-    pub covariance: DMatrix<f64>,
-    pub identifiability: Identifiability,
-    pub parameters: Vec<ParameterEstimate>,
-}
-
-/// From the information of the data about the parameters (natural units, no priors): the covariance with the priors heard, what cannot be
-/// told, and the parameters with their sigmas. The data's part of the covariance is `spread` times the inverse of their information.
-pub(crate) fn tell(
+/// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the parameters: what is not identifiable, and the parameters with
+/// their sigmas.
+pub(crate) fn describe(
     nominal: &Rig,
     model: &Model,
     postures: &[Posture],
     parameters: &[Parameter],
     priors: &Priors,
-    information: &DMatrix<f64>,
-    spread: f64,
-) -> Told {
-    let mut posterior = information / spread;
-    let mut ignored = DVector::zeros(parameters.len());
-    priors.add_to(nominal, model, parameters, &mut posterior, &mut ignored);
-    let covariance = covariance(&posterior, parameters);
-    let identifiability = identify(model, postures, parameters, information);
-    let parameters = estimates(nominal, model, parameters, &priors.sigmas, &covariance, &identifiability);
-    Told { covariance, identifiability, parameters }
+    normal: &DMatrix<f64>,
+    covariance: &DMatrix<f64>,
+) -> (Identifiability, Vec<ParameterEstimate>) {
+    let identifiability = identify(model, postures, parameters, normal);
+    let estimates = estimates(nominal, model, parameters, &priors.sigmas, covariance, &identifiability);
+    (identifiability, estimates)
 }
 
 #[cfg(test)]

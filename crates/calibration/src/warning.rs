@@ -1,5 +1,6 @@
 //! What a person should hear of, though it is no error.
 
+use crate::Parameter;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -32,7 +33,7 @@ pub enum Warning {
         fraction: f64,
     },
     /// A posture fits far worse than the others: wrong joints, a bumped camera, a moved scene.
-    SuspectPosture {
+    OutlierPosture {
         /// Position of the posture.
         posture: usize,
         /// Its index in the recording.
@@ -42,10 +43,10 @@ pub enum Warning {
         /// Median residual of the posture, in units of the common sigma.
         median_sigmas: f64,
         /// Whether it was left out of the estimate.
-        left_out: bool,
+        excluded: bool,
     },
     /// A posture is seen by no usable correspondence.
-    UnseenPosture {
+    UnobservedPosture {
         /// Position of the posture.
         posture: usize,
         /// Its index in the recording.
@@ -58,21 +59,21 @@ pub enum Warning {
         /// Number of observations that were dropped.
         observations: usize,
     },
-    /// Joint deviations were not estimated because there are too many postures.
-    DeviationsOff {
+    /// Errors of single postures were not estimated because there are too many postures.
+    PostureErrorsOff {
         /// Number of unknowns it would have taken.
         unknowns: usize,
         /// The limit.
         limit: usize,
     },
-    /// Joints seemed to deviate by more than encoders do, and held-out postures are predicted better without deviations: they were left at zero.
-    DeviationsRefused {
-        /// The sigma that seemed likeliest, degrees.
-        sigma_deg: f64,
-        /// Held-out figure with deviations, px; `None` where there are too few postures to hold some out.
-        with_px: Option<f64>,
-        /// The same without.
-        without_px: Option<f64>,
+    /// The data moved a parameter far out of its prior.
+    BeyondPrior {
+        /// Which.
+        parameter: Parameter,
+        /// From its nominal value, in its unit.
+        change: f64,
+        /// Sigma of its prior, in its unit.
+        prior_sigma: f64,
     },
     /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is free to explain them.
     LargeResiduals {
@@ -104,13 +105,13 @@ impl fmt::Display for Warning {
                     fraction * 100.0
                 )
             }
-            Warning::SuspectPosture { posture, index, outlier_fraction, median_sigmas, left_out } => write!(
+            Warning::OutlierPosture { posture, index, outlier_fraction, median_sigmas, excluded } => write!(
                 f,
                 "posture {posture} (index {index}) does not fit: {:.0} % outliers, median {median_sigmas:.1} sigma; {}; check its joint values and the camera's seat",
                 outlier_fraction * 100.0,
-                if *left_out { "left out" } else { "down-weighted" }
+                if *excluded { "left out" } else { "down-weighted" }
             ),
-            Warning::UnseenPosture { posture, index } => {
+            Warning::UnobservedPosture { posture, index } => {
                 write!(f, "posture {posture} (index {index}) has no usable correspondence")
             }
             Warning::FlangePosesOnly => {
@@ -119,24 +120,18 @@ impl fmt::Display for Warning {
             Warning::RepeatedPosture { observations } => {
                 write!(f, "{observations} observations were dropped because their track names a posture twice")
             }
-            Warning::DeviationsOff { unknowns, limit } => {
-                write!(f, "joint deviations were left at zero: {unknowns} unknowns exceed the limit of {limit}")
+            Warning::PostureErrorsOff { unknowns, limit } => {
+                write!(f, "the errors of single postures were left at zero: {unknowns} unknowns exceed the limit of {limit}")
             }
-            Warning::DeviationsRefused { sigma_deg, with_px, without_px } => {
+            Warning::BeyondPrior { parameter, change, prior_sigma } => {
+                let (factor, unit) = parameter.unit().of_files();
                 write!(
                     f,
-                    "joints seemed to stand {sigma_deg:.4} deg off their values, more than encoders do: errors of the arm in disguise; "
-                )?;
-                match (with_px, without_px) {
-                    (Some(with), Some(without)) => {
-                        write!(
-                            f,
-                            "held-out postures fit to {without:.2} px without such deviations, {with:.2} px with; "
-                        )?;
-                    }
-                    _ => write!(f, "there are too few postures to test that on held-out ones; ")?,
-                }
-                write!(f, "they were left at zero")
+                    "{parameter} moved by {:+.3} {unit}, {:.1} times what is expected of it ({:.3} {unit})",
+                    change * factor,
+                    change.abs() / prior_sigma,
+                    prior_sigma * factor
+                )
             }
             Warning::LargeResiduals { sigma } => write!(
                 f,

@@ -29,7 +29,7 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
     );
 
     // Judged on postures that the fit did not see, beside the nominal rig and the mount alone.
-    let held_out = |rig: &str| number(&summary, &format!("/held_out/figure_px/{rig}"));
+    let held_out = |rig: &str| number(&summary, &format!("/held_out/metric_px/{rig}"));
     assert!(held_out("calibrated") < 0.2 * held_out("mount_only"), "{}", summary["held_out"]);
     assert_eq!(summary["held_out"]["folds"].as_array().unwrap().len(), 6);
     assert_eq!(summary["grade"], "good");

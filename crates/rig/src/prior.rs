@@ -35,6 +35,15 @@ pub struct Prior {
     /// Depth offset, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_offset_mm: Option<f64>,
+    /// Rotation of the depth camera beside the colour camera, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub color_from_depth_rotation_deg: Option<f64>,
+    /// Translation of the depth camera beside the colour camera, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub color_from_depth_translation_mm: Option<f64>,
+    /// Size of the board's squares, as a fraction.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub board_scale_relative: Option<f64>,
     /// Deviation of a revolute joint's value in one posture (encoder noise, backlash), degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub joint_deviation_deg: Option<f64>,
@@ -45,7 +54,7 @@ pub struct Prior {
 
 impl Prior {
     /// Every entry with the name that it has in the file.
-    pub fn entries(&self) -> [(&'static str, Option<f64>); 11] {
+    pub fn entries(&self) -> [(&'static str, Option<f64>); 14] {
         [
             ("angle_deg", self.angle_deg),
             ("length_mm", self.length_mm),
@@ -56,6 +65,9 @@ impl Prior {
             ("distortion", self.distortion),
             ("depth_scale_relative", self.depth_scale_relative),
             ("depth_offset_mm", self.depth_offset_mm),
+            ("color_from_depth_rotation_deg", self.color_from_depth_rotation_deg),
+            ("color_from_depth_translation_mm", self.color_from_depth_translation_mm),
+            ("board_scale_relative", self.board_scale_relative),
             ("joint_deviation_deg", self.joint_deviation_deg),
             ("time_offset_s", self.time_offset_s),
         ]

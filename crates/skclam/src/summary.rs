@@ -228,7 +228,7 @@ impl CalibrationSummary {
                 .unwrap_or_default(),
             pixel_sigma: calibration.noise.pixel,
             depth_sigma_per_m: calibration.noise.depth_per_m,
-            joint_deviation_sigma_deg: calibration.noise.joint_deviation.map(f64::to_degrees),
+            joint_deviation_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
             outlier_fraction: calibration.noise.outlier_fraction,
             termination: calibration.termination,
             ended: calibration.termination.reason.to_string(),

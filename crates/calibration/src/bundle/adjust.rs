@@ -5,7 +5,8 @@ use crate::bundle::observations::Observations;
 use crate::bundle::reduced::{Chunk, corner_cost, follow, reduce, track_chunks, track_cost};
 use crate::bundle::residuals::{ResidualSize, residual_sizes};
 use crate::bundle::start::{place_board, triangulate_all};
-use crate::bundle::state::{NoiseScales, State};
+use crate::bundle::random_effects::PostureErrorModel;
+use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
 use crate::levenberg_marquardt::{
     Descent, DescentLimits, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
@@ -19,7 +20,7 @@ use skclam_rig::Rig;
 
 /// A gain below this, in squared sigmas, means nothing.
 const MEANINGLESS_GAIN: f64 = 1e-3;
-/// A step of parameters, board and deviations together that is shorter than this means nothing, however far single points still have to go.
+/// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single points still have to go.
 const MEANINGLESS_SIGMAS: f64 = 0.02;
 
 /// All that a descent needs besides the state.
@@ -31,15 +32,19 @@ pub(crate) struct Adjustment<'a> {
     pub priors: &'a Priors,
     pub loss: Loss,
     pub noise: NoiseScales,
-    /// How the loss stands beside the prior of the deviations.
+    /// What the errors of single postures consist of.
+    pub errors: &'a PostureErrorModel,
+    /// How the loss stands beside the prior of the posture errors.
     pub balance: Balance,
+    /// A parameter that does not move.
+    pub held: Option<usize>,
 }
 
 impl Adjustment<'_> {
     fn unknowns(&self, state: &State) -> Unknowns<'_> {
         let postures = self.motion.len();
-        let joints = state.deviations.len().checked_div(postures).unwrap_or(0);
-        Unknowns { parameters: self.parameters, board: state.base_from_board.is_some(), joints, postures }
+        let components = state.posture_errors.len().checked_div(postures).unwrap_or(0);
+        Unknowns { parameters: self.parameters, board: state.base_from_board.is_some(), components, postures }
     }
 
     fn chunks(&self) -> Vec<Chunk> {
@@ -51,29 +56,31 @@ impl Adjustment<'_> {
         track_cost(self.observations, chunks, &view, &state.points) + self.cost_beside_tracks(state)
     }
 
-    /// Board corners, joint deviations, priors.
+    /// Board corners, posture errors, priors.
     fn cost_beside_tracks(&self, state: &State) -> f64 {
         let view = state.view(&self.noise, self.loss);
-        let corners = corner_cost(self.observations, &view, state.base_from_board.as_ref());
-        let deviations: f64 = state.deviations.iter().map(|d| (d / self.noise.deviation).powi(2)).sum();
+        let corners = corner_cost(self.observations, &view, state.placed_board().as_ref());
+        let sigma = self.errors.sigma_of(&self.noise.posture);
+        let errors: f64 = state.posture_errors.iter().enumerate().map(|(k, error)| (error / sigma(k)).powi(2)).sum();
         corners
-            + 0.5 * self.balance.prior_weight * deviations
+            + 0.5 * self.balance.prior_weight * errors
             + self.priors.cost(self.nominal, &state.model, self.parameters)
     }
 
-    /// The prior of the deviations as the descent hears it.
-    fn add_deviation_prior(
+    /// Adds the prior of the posture errors to `H delta = g` (g: the negative gradient).
+    fn add_posture_error_prior(
         &self,
         unknowns: &Unknowns<'_>,
         state: &State,
-        information: &mut DMatrix<f64>,
-        descent: &mut DVector<f64>,
+        normal: &mut DMatrix<f64>,
+        gradient: &mut DVector<f64>,
     ) {
-        let weight = self.balance.prior_weight / (self.noise.deviation * self.noise.deviation);
-        for (k, deviation) in state.deviations.iter().enumerate() {
-            let at = unknowns.first_deviation() + k;
-            information[(at, at)] += weight;
-            descent[at] -= weight * deviation;
+        let sigma = self.errors.sigma_of(&self.noise.posture);
+        for (k, error) in state.posture_errors.iter().enumerate() {
+            let at = unknowns.first_posture_error() + k;
+            let weight = self.balance.prior_weight / sigma(k).powi(2);
+            normal[(at, at)] += weight;
+            gradient[at] -= weight * error;
         }
     }
 
@@ -91,13 +98,19 @@ impl Adjustment<'_> {
         };
         descend(state, cost, limits, |state, damping| {
             let view = state.view(&self.noise, self.loss);
-            let board = state.base_from_board.as_ref();
+            let board = state.placed_board();
             let shared = unknowns.shared_free();
             let columns = unknowns.columns(self.motion, state)?;
-            let (system, eliminated) = reduce(self.observations, &chunks, &view, &state.points, board, shared, damping);
+            let (system, eliminated) =
+                reduce(self.observations, &chunks, &view, &state.points, board.as_ref(), shared, damping);
             let (mut information, mut descent) = unknowns.assemble(&system, &columns);
             self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut descent);
-            self.add_deviation_prior(&unknowns, state, &mut information, &mut descent);
+            self.add_posture_error_prior(&unknowns, state, &mut information, &mut descent);
+            if let Some(held) = self.held {
+                information.row_mut(held).fill(0.0);
+                information.column_mut(held).fill(0.0);
+                descent[held] = 0.0;
+            }
             let step = damped_solve(&information, &descent, self.parameters, damping)?;
             let camera_step = unknowns.camera_step(&columns, &step);
             let mut moved = unknowns.stepped(self.motion, state, &step)?;
@@ -121,24 +134,30 @@ impl Adjustment<'_> {
     /// Sizes of all residuals at a state.
     pub(crate) fn residual_sizes(&self, state: &State) -> Vec<ResidualSize> {
         let view = state.view(&self.noise, self.loss);
-        residual_sizes(self.observations, &self.chunks(), &view, &state.points, state.base_from_board.as_ref())
+        residual_sizes(self.observations, &self.chunks(), &view, &state.points, state.placed_board().as_ref())
     }
 
-    /// Information of the data about all unknowns, points eliminated, less what the loss wastes of it; with the prior of the deviations for a sigma, without
-    /// those of the parameters.
-    pub(crate) fn information(&self, state: &State, deviation: f64) -> Result<DMatrix<f64>, CalibrationError> {
+    /// Normal matrix of the data by all unknowns, points eliminated, less what the loss wastes of it; with the prior of the posture errors for some
+    /// sigmas, without those of the parameters.
+    pub(crate) fn normal_matrix(
+        &self,
+        state: &State,
+        sigmas: &PostureErrorSigmas,
+    ) -> Result<DMatrix<f64>, CalibrationError> {
         let unknowns = self.unknowns(state);
         let view = state.view(&self.noise, self.loss);
-        let board = state.base_from_board.as_ref();
+        let board = state.placed_board();
         let columns = unknowns.columns(self.motion, state)?;
         let shared = unknowns.shared_free();
-        let (system, _) = reduce(self.observations, &self.chunks(), &view, &state.points, board, shared, 0.0);
-        let mut information = unknowns.assemble(&system, &columns).0 / self.balance.efficiency_factor;
-        (0..state.deviations.len()).for_each(|k| {
-            let at = unknowns.first_deviation() + k;
-            information[(at, at)] += 1.0 / (deviation * deviation);
+        let chunks = self.chunks();
+        let (system, _) = reduce(self.observations, &chunks, &view, &state.points, board.as_ref(), shared, 0.0);
+        let mut normal = unknowns.assemble(&system, &columns).0 / self.balance.efficiency_factor;
+        let sigma = self.errors.sigma_of(sigmas);
+        (0..state.posture_errors.len()).for_each(|k| {
+            let at = unknowns.first_posture_error() + k;
+            normal[(at, at)] += sigma(k).powi(-2);
         });
-        Ok(information)
+        Ok(normal)
     }
 
     #[cfg(test)]
@@ -152,9 +171,9 @@ impl Adjustment<'_> {
         let unknowns = self.unknowns(state);
         let view = state.view(&self.noise, self.loss);
         let columns = unknowns.columns(self.motion, state)?;
-        let board = state.base_from_board.as_ref();
+        let board = state.placed_board();
         let (system, _) =
-            reduce(self.observations, &self.chunks(), &view, &state.points, board, unknowns.shared_free(), 0.0);
+            reduce(self.observations, &self.chunks(), &view, &state.points, board.as_ref(), unknowns.shared_free(), 0.0);
         Ok(unknowns.assemble(&system, &columns).1)
     }
 
@@ -167,14 +186,14 @@ impl Adjustment<'_> {
 /// A state for a model: cameras posed, board placed, no points yet.
 pub(crate) fn posed_state(
     model: &Model,
-    deviations: Vec<f64>,
+    posture_errors: Vec<f64>,
     motion: &Motion,
     observations: &Observations,
     noise: &NoiseScales,
     loss: Loss,
 ) -> Result<State, CalibrationError> {
     let mut state =
-        State { model: model.clone(), deviations, points: Vec::new(), base_from_board: None, frames: Vec::new() };
+        State { model: model.clone(), posture_errors, points: Vec::new(), base_from_board: None, frames: Vec::new() };
     state.refresh_frames(motion)?;
     if !observations.corners.is_empty() {
         state.base_from_board = place_board(observations, &state.view(noise, loss));

@@ -10,13 +10,15 @@ use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
 use crate::motion::Motion;
 use crate::pose_covariance::spread_to_poses;
-use crate::prior::{self, Priors};
-use crate::uncertainty::{Told, tell};
+use crate::prior::Priors;
+use crate::uncertainty::{covariance, describe};
+use crate::bundle::posterior::posterior;
+use crate::bundle::random_effects::PostureErrorModel;
 use crate::{
-    CalibrationError, Correspondences, Free, Identifiability, Loss, Model, ParameterEstimate, PoseCovariance,
-    PriorPolicy,
+    BundleOptions, CalibrationError, Correspondences, Free, Identifiability, Loss, Model, ParameterEstimate,
+    PoseCovariance, PostureErrorPolicy, PriorPolicy, default_sigma, stated_sigma,
 };
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use skclam_rig::Rig;
 
@@ -32,10 +34,10 @@ pub struct ExpectationOptions {
     pub pixel_sigma: f64,
     /// `s` of `sigma = s z^2` of the measured depth, 1/m.
     pub depth_sigma_per_m: f64,
-    /// Sigma of what joints stand off their values where the rig does not tell, degrees; 0 for none.
-    pub joint_deviation_deg: f64,
-    /// Unknown deviations at most; beyond, they are taken as zero.
-    pub max_deviations: usize,
+    /// Sigma of what joints are off their values where the rig does not state it, degrees; 0 for none.
+    pub joint_error_deg: f64,
+    /// Unknown posture errors at most; beyond, they are taken as zero.
+    pub max_posture_errors: usize,
 }
 
 impl Default for ExpectationOptions {
@@ -46,8 +48,8 @@ impl Default for ExpectationOptions {
             priors: PriorPolicy::Auto,
             pixel_sigma: 0.2,
             depth_sigma_per_m: 3e-3,
-            joint_deviation_deg: 3e-3,
-            max_deviations: 1200,
+            joint_error_deg: 3e-3,
+            max_posture_errors: 1800,
         }
     }
 }
@@ -84,18 +86,14 @@ pub fn expected_calibration(
     if parameters.is_empty() {
         return Err(CalibrationError::NothingFree);
     }
-    let deviation = nominal.prior.joint_deviation_deg.unwrap_or(options.joint_deviation_deg).to_radians();
-    let joints = if motion.has_joints() { nominal.robot.as_ref().map_or(0, |robot| robot.joint_count()) } else { 0 };
-    let heard = deviation > 0.0 && joints * motion.len() <= options.max_deviations;
-    let deviations = if heard { vec![0.0; joints * motion.len()] } else { Vec::new() };
-    let noise = NoiseScales {
-        pixel: options.pixel_sigma,
-        depth: options.depth_sigma_per_m,
-        deviation: if heard { deviation } else { 1.0 },
-    };
-    let priors = Priors { sigmas: prior::sigmas(nominal, &options.free, options.priors, &parameters) };
+    let deg = nominal.prior.joint_deviation_deg.unwrap_or(options.joint_error_deg);
+    let posture_errors = if deg > 0.0 { PostureErrorPolicy::SigmaDeg(deg) } else { PostureErrorPolicy::Off };
+    let limits = BundleOptions { posture_errors, max_posture_errors: options.max_posture_errors, ..Default::default() };
+    let errors = PostureErrorModel::new(nominal, &motion, &limits, &mut Vec::new());
+    let noise = NoiseScales { pixel: options.pixel_sigma, depth: options.depth_sigma_per_m, posture: errors.first };
+    let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let model = Model::new(nominal.clone());
-    let mut state = posed_state(&model, deviations, &motion, &observations, &noise, Loss::Squared)?;
+    let mut state = posed_state(&model, vec![0.0; errors.kinds.len() * motion.len()], &motion, &observations, &noise, Loss::Squared)?;
     let points = triangulate_all(&observations, &state.view(&noise, Loss::Squared), None);
     observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
     state.points = points.into_iter().flatten().collect();
@@ -115,11 +113,25 @@ pub fn expected_calibration(
         priors: &priors,
         loss: Loss::Squared,
         noise,
+        errors: &errors,
         balance: Balance::EVEN,
+        held: None,
     };
-    let information = marginal(&adjustment.information(&state, noise.deviation)?, parameters.len());
-    let Told { covariance, identifiability, parameters: estimates } =
-        tell(nominal, &model, &data.postures, &parameters, &priors, &information, 1.0);
+    let normal = marginal(&adjustment.normal_matrix(&state, &noise.posture)?, parameters.len());
+    let ruler = crate::free::ruler(nominal, &options.free, &parameters, motion.has_joints());
+    let held = ruler.and_then(|ruler| parameters.iter().position(|parameter| *parameter == ruler));
+    let sigma_of = |at: usize| {
+        stated_sigma(nominal, parameters[at]).unwrap_or_else(|| default_sigma(nominal, parameters[at]))
+    };
+    let mut prior_normal = DMatrix::zeros(parameters.len(), parameters.len());
+    let offsets = DVector::zeros(parameters.len());
+    priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut offsets.clone());
+    let covariance = match posterior(&normal, &prior_normal, &offsets, &priors, held.map(|at| (at, sigma_of(at)))) {
+        Some(known) => known.covariance,
+        None => covariance(&(&normal + &prior_normal), &parameters),
+    };
+    let (identifiability, estimates) =
+        describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
     let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
     Ok(ExpectedCalibration { parameters: estimates, covariance, identifiability, poses })
 }
@@ -130,7 +142,7 @@ mod tests {
     use crate::synthetic::{
         Errors, Sensing, diverse_postures, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
     };
-    use crate::{BundleOptions, DeviationPolicy, calibrate_bundle};
+    use crate::{PostureErrorPolicy, calibrate_bundle};
     use skclam_rig::{Posture, PostureState};
 
     /// Tracks as the nominal rig sees them.
@@ -154,11 +166,11 @@ mod tests {
         let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
         let data = record(&truth, &postures, &room(1000, &mut rng), sensing, &mut rng);
         let fitted =
-            calibrate_bundle(&hp3j(), &data, &BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() })
+            calibrate_bundle(&hp3j(), &data, &BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() })
                 .unwrap();
         let mut views = predicted(&postures, 1000);
         views.tracks.iter_mut().flat_map(|track| &mut track.observations).for_each(|sight| sight.depth_m = None);
-        let options = ExpectationOptions { pixel_sigma: 0.5, joint_deviation_deg: 0.0, ..Default::default() };
+        let options = ExpectationOptions { pixel_sigma: 0.5, joint_error_deg: 0.0, ..Default::default() };
         let expected = expected_calibration(&hp3j(), &views, &options).unwrap();
         assert_eq!(expected.parameters.len(), fitted.parameters.len());
         for (expected, fitted) in expected.parameters.iter().zip(&fitted.parameters) {

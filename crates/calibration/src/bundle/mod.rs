@@ -5,18 +5,20 @@
 //! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
 
 mod adjust;
-mod deviations;
 mod expected;
 mod noise;
 mod observations;
 mod options;
+mod outliers;
 mod pose_system;
+mod posterior;
+mod predicted;
+mod random_effects;
 mod reduced;
 mod residuals;
 mod solve;
 mod start;
 mod state;
-mod suspects;
 #[cfg(test)]
 mod tests;
 mod triangulate;
@@ -26,6 +28,8 @@ mod view;
 pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration};
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
-pub use options::{BundleOptions, DeviationPolicy};
+pub use options::{BundleOptions, PostureErrorPolicy, RulerPolicy};
+pub use random_effects::ErrorKind;
+pub(crate) use predicted::predicted_distances;
 pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;

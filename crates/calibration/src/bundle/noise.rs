@@ -34,7 +34,7 @@ pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, freedom: f64) 
     NoiseScales {
         pixel: (old.pixel * pixel / share).max(EXACT_PX),
         depth: if depths.is_empty() { old.depth } else { (old.depth * depth / share).max(EXACT_DEPTH) },
-        deviation: old.deviation,
+        posture: old.posture,
     }
 }
 

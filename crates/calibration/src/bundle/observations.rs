@@ -11,6 +11,8 @@ pub(crate) struct Sighting {
     pub posture: u32,
     /// z-depth in the camera, metres; 0 where nothing was measured.
     pub depth_m: f64,
+    /// How the surface's depth changes with the normalised image coordinates x/z and y/z, metres.
+    pub depth_slope: [f64; 2],
     pub pixel: Pixel,
     /// Inverse of the pixel's covariance (relative units): xx, xy, yy.
     pub information: [f64; 3],
@@ -69,6 +71,7 @@ impl Observations {
                 flat.sightings.push(Sighting {
                     posture: observation.posture as u32,
                     depth_m: observation.depth_m.unwrap_or(0.0),
+                    depth_slope: observation.depth_slope,
                     pixel: observation.pixel,
                     information: information(&observation.covariance),
                 });
@@ -94,8 +97,13 @@ impl Observations {
                 }
                 let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
                 let weight = board_seen.sigma_px.powi(-2);
-                let sighting =
-                    Sighting { posture: posture as u32, depth_m: 0.0, pixel, information: [weight, 0.0, weight] };
+                let sighting = Sighting {
+                    posture: posture as u32,
+                    depth_m: 0.0,
+                    depth_slope: [0.0; 2],
+                    pixel,
+                    information: [weight, 0.0, weight],
+                };
                 flat.corners.push(CornerSighting { sighting, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
                     Ok(at) => corner_tracks[at].1.push(sighting),
@@ -163,7 +171,13 @@ mod tests {
         let squared: f64 = v.dot(&(covariance.try_inverse().unwrap() * v));
         let expected = squared.sqrt();
         let sighting =
-            Sighting { posture: 0, depth_m: 0.0, pixel: Pixel::origin(), information: information(&covariance) };
+            Sighting {
+            posture: 0,
+            depth_m: 0.0,
+            depth_slope: [0.0; 2],
+            pixel: Pixel::origin(),
+            information: information(&covariance),
+        };
         assert!((sighting.size(&v) - expected).abs() < 1e-12);
     }
 }

@@ -4,9 +4,10 @@
 //! information `B` adds `T^T B T`, and every block of the Schur complement is a 3 x 3 between two `T`.
 
 use crate::bundle::observations::CornerSighting;
-use crate::bundle::view::{SHARED, View};
+use crate::bundle::state::PlacedBoard;
+use crate::bundle::view::{BOARD_SCALE, SHARED, View};
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
-use skclam_geometry::{Isometry3, Point3};
+use skclam_geometry::Point3;
 
 pub(crate) type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 pub(crate) type SharedVector = SVector<f64, SHARED>;
@@ -152,18 +153,20 @@ impl PoseSystem {
     pub(crate) fn add_corner(
         &mut self,
         view: &View<'_>,
-        base_from_board: &Isometry3,
+        board: &PlacedBoard,
         corner: &CornerSighting,
         shared_free: bool,
     ) {
-        let point = base_from_board * corner.point_in_board;
+        let base_from_board = &board.base_from_board;
+        let in_board = corner.point_in_board * board.scale;
+        let point = base_from_board * in_board;
         let Some(sight) = view.linearize(&corner.sighting, &point) else { return };
         let i = sight.posture;
         self.add_sight(i, &point, &sight.information, &sight.descent);
         // The board's twist in its own frame moves the corner by `R T(corner)`.
         let turned = *base_from_board.rotation.to_rotation_matrix().matrix();
         let by_board = SMatrix::<f64, 3, 6>::from_fn({
-            let rows = by_twist(&turned, &corner.point_in_board);
+            let rows = by_twist(&turned, &in_board);
             move |row, column| rows[row][column]
         });
         let by_camera = SMatrix::<f64, 3, 6>::from_fn({
@@ -176,7 +179,16 @@ impl PoseSystem {
         if !shared_free {
             return;
         }
-        if let Some(shared) = view.linearize_shared(&corner.sighting, &point) {
+        if let Some(mut shared) = view.linearize_shared(&corner.sighting, &point) {
+            // The squares' size moves the corner by `R corner`.
+            let grown = turned * corner.point_in_board.coords;
+            let by_scale = shared.by_point * grown;
+            shared.information.set_column(BOARD_SCALE, &by_scale);
+            shared.information.set_row(BOARD_SCALE, &by_scale.transpose());
+            let own = sight.information * grown;
+            shared.information[(BOARD_SCALE, BOARD_SCALE)] = grown.dot(&own);
+            shared.by_point.set_row(BOARD_SCALE, &own.transpose());
+            shared.descent[BOARD_SCALE] = grown.dot(&sight.descent);
             self.subtract_shared(i, &shared.by_point, &point);
             self.shared_by_board += shared.by_point * by_board;
             self.shared += shared.information;

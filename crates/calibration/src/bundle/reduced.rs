@@ -6,10 +6,11 @@
 
 use crate::bundle::observations::{CornerSighting, Observations, Sighting};
 use crate::bundle::pose_system::{PoseSystem, SharedByPoint, SharedVector, TwistRows, by_twist, moved_by};
+use crate::bundle::state::PlacedBoard;
 use crate::bundle::view::{LinearSight, SharedSight, View};
 use nalgebra::{Matrix3, Vector3, Vector6};
 use rayon::prelude::*;
-use skclam_geometry::{Isometry3, Point3};
+use skclam_geometry::Point3;
 
 /// Memory that the partial sums of one pass may take together, bytes.
 const PARTIAL_SUMS: usize = 256 << 20;
@@ -172,7 +173,7 @@ pub(crate) fn reduce(
     chunks: &[Chunk],
     view: &View<'_>,
     points: &[Point3],
-    base_from_board: Option<&Isometry3>,
+    board: Option<&PlacedBoard>,
     shared_free: bool,
     damping: f64,
 ) -> (PoseSystem, Vec<Eliminated>) {
@@ -196,9 +197,9 @@ pub(crate) fn reduce(
         system.add(&part);
         eliminated.push(kept);
     }
-    if let Some(base_from_board) = base_from_board {
+    if let Some(board) = board {
         for corner in &observations.corners {
-            system.add_corner(view, base_from_board, corner, shared_free);
+            system.add_corner(view, board, corner, shared_free);
         }
     }
     (system, eliminated)
@@ -254,9 +255,9 @@ pub(crate) fn track_cost(observations: &Observations, chunks: &[Chunk], view: &V
 }
 
 /// Robust cost of all board corners.
-pub(crate) fn corner_cost(observations: &Observations, view: &View<'_>, base_from_board: Option<&Isometry3>) -> f64 {
-    base_from_board.map_or(0.0, |base_from_board| {
-        let cost = |corner: &CornerSighting| view.cost_of(&corner.sighting, &(base_from_board * corner.point_in_board));
+pub(crate) fn corner_cost(observations: &Observations, view: &View<'_>, board: Option<&PlacedBoard>) -> f64 {
+    board.map_or(0.0, |board| {
+        let cost = |corner: &CornerSighting| view.cost_of(&corner.sighting, &board.point_in_base(corner));
         observations.corners.iter().map(cost).sum()
     })
 }

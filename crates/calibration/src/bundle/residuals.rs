@@ -2,10 +2,11 @@
 
 use crate::bundle::observations::{Observations, Sighting};
 use crate::bundle::reduced::{Chunk, point_covariance};
+use crate::bundle::state::PlacedBoard;
 use crate::bundle::view::View;
 use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
-use skclam_geometry::{Isometry3, Point3};
+use skclam_geometry::Point3;
 
 /// Size and leverage of one sight's residuals.
 #[derive(Debug, Clone, Copy)]
@@ -49,7 +50,7 @@ fn residual_size(view: &View<'_>, sighting: &Sighting, point: &Point3, spread: &
     let traced = xx * pixel_spread[(0, 0)] + 2.0 * xy * pixel_spread[(0, 1)] + yy * pixel_spread[(1, 1)];
     let leverage = traced * view.scales.loss.weight(size) / (view.scales.pixel * view.scales.pixel);
     let depth = (sighting.depth_m > 0.0).then(|| {
-        let (u, slope) = view.depth_residual(sighting, in_camera.z);
+        let (u, slope) = view.depth_residual(sighting, &in_camera);
         let along = frame.camera_from_base.row(2).transpose();
         let leverage = view.scales.loss.weight(u) * along.dot(&(spread * along)) * slope * slope;
         (u, (1.0 - leverage).clamp(0.0, 1.0))
@@ -63,7 +64,7 @@ pub(crate) fn residual_sizes(
     chunks: &[Chunk],
     view: &View<'_>,
     points: &[Point3],
-    base_from_board: Option<&Isometry3>,
+    board: Option<&PlacedBoard>,
 ) -> Vec<ResidualSize> {
     let of_chunk = |&(from, to): &Chunk| -> Vec<ResidualSize> {
         let mut sizes = Vec::with_capacity(observations.offsets[to] - observations.offsets[from]);
@@ -75,10 +76,9 @@ pub(crate) fn residual_sizes(
         sizes
     };
     let mut sizes = chunks.par_iter().map(of_chunk).collect::<Vec<_>>().concat();
-    if let Some(base_from_board) = base_from_board {
+    if let Some(board) = board {
         sizes.extend(observations.corners.iter().map(|corner| {
-            let point = base_from_board * corner.point_in_board;
-            residual_size(view, &corner.sighting, &point, &Matrix3::zeros())
+            residual_size(view, &corner.sighting, &board.point_in_base(corner), &Matrix3::zeros())
         }));
     }
     sizes

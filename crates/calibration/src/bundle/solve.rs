@@ -1,43 +1,45 @@
-//! The estimator from start to result: find the way pairwise, adjust everything, estimate the noise, leave out what does not belong.
+//! The estimator from start to result: start pairwise, screen for outlier postures, adjust everything, estimate the noise, conclude.
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
-use crate::bundle::deviations::deviation_unknowns;
 use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
+use crate::bundle::outliers::{judged, outlier_postures};
+use crate::bundle::posterior::posterior;
+use crate::bundle::random_effects::{PostureErrorModel, likeliest_groups};
 use crate::bundle::residuals::ResidualSize;
 use crate::bundle::start::{start, triangulate_all};
-use crate::bundle::state::{NoiseScales, State};
-use crate::bundle::suspects::{judged, suspects};
+use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::error_function::epipolar_statistics;
 use crate::motion::Motion;
-use crate::prior::{self, Priors};
+use crate::prior::{PriorGroup, Priors};
 use crate::robust::median;
-use crate::uncertainty::{Told, tell};
+use crate::uncertainty::{covariance, describe};
 use crate::{
-    BundleOptions, Calibration, CalibrationError, Correspondences, DeviationPolicy, Loss, Model, Noise, Parameter,
-    PostureFit, ReprojectionStatistics, Termination, Warning,
+    BundleOptions, Calibration, CalibrationError, Correspondences, Loss, Model, Noise, Parameter, PostureErrorKnowledge,
+    PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning, default_sigma, free,
+    stated_sigma,
 };
+use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
 use std::cell::Cell;
 
-/// Sights that the descent looks at until it has settled; then all.
-const SAMPLE_SIGHTS: usize = 60_000;
-/// Deviations below this (0.0003 deg) move no pixel by what can be measured, rad.
-const LEAST_DEVIATION: f64 = 5e-6;
-/// Joints that stand farther off their values (sigma, rad; half a degree) are no encoders' noise: something else is wrong, and deviations must not swallow it.
-const LARGEST_DEVIATION: f64 = 8.7e-3;
+/// Observations that the descent uses until it has settled; then all.
+const SAMPLE_OBSERVATIONS: usize = 60_000;
+/// Bounds of the sigma of a joint's error, rad (or m): below 0.0003 deg nothing moves by what can be measured, and joints that are off by more than half a degree
+/// are no random effect: something else is wrong, and posture errors must not swallow it.
+const POSTURE_ERROR_BOUNDS: [f64; 2] = [5e-6, 8.7e-3];
 /// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more.
-const PATIENCE: [usize; 2] = [2, 4];
+const ITERATION_BUDGET: [usize; 2] = [2, 4];
 /// Data as good as this (sigma beside what they say of themselves) are synthetic, and descend to rounding.
 const EXACT_SIGMA: f64 = 1e-2;
-/// What an adjustment is left with when patience has run out.
-const LEAST_ITERATIONS: usize = 10;
+/// What an adjustment is left with when the budget has run out.
+const MIN_ITERATIONS: usize = 10;
 /// Times that the sample is searched for postures that are wrong.
-const EARLY_LOOKS: usize = 3;
+const MAX_SCREENING_ROUNDS: usize = 3;
 /// `s` of `sigma = s z^2` before the data are heard, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
-/// Fewer sights of a kind do not tell its noise.
-const LEAST_OF_A_KIND: usize = 50;
+/// Fewer observations of a kind do not determine its noise.
+const MIN_OF_A_KIND: usize = 50;
 /// No feature is so bad, in units of the sigma that it came with.
 const LARGE_SIGMA: f64 = 5.0;
 /// The noise has settled when it changes by less than this fraction.
@@ -46,6 +48,7 @@ const SETTLED: f64 = 0.01;
 struct Adjusted {
     state: State,
     noise: NoiseScales,
+    priors: Priors,
     observations: Observations,
     sizes: Vec<ResidualSize>,
     balance: Balance,
@@ -60,7 +63,10 @@ pub(crate) struct Evaluated {
     pub observations: Observations,
 }
 
-/// Residuals of two models on the same sights, whose pixels have noise of `sigma_px`: points and the board are fitted to each model's cameras, nothing else moves.
+/// No posture errors.
+const NO_ERRORS: PostureErrorSigmas = PostureErrorSigmas { angular: 1.0, linear: 1.0 };
+
+/// Residuals of two models on the same observations, whose pixels have noise of `sigma_px`: points and the board are fitted to each model's cameras, nothing else moves.
 pub(crate) fn compare(
     nominal: &Model,
     calibrated: &Model,
@@ -68,23 +74,24 @@ pub(crate) fn compare(
     observations: &Observations,
     sigma_px: f64,
 ) -> Result<(Evaluated, Evaluated), CalibrationError> {
-    let noise = NoiseScales { pixel: sigma_px.max(1e-6), depth: FIRST_DEPTH, deviation: 1.0 };
-    let priors = Priors { sigmas: Vec::new() };
+    let noise = NoiseScales { pixel: sigma_px.max(1e-6), depth: FIRST_DEPTH, posture: NO_ERRORS };
     let options = BundleOptions::default();
-    let solve = Solve {
+    let errors = PostureErrorModel::none();
+    let adjuster = BundleAdjuster {
         nominal: &nominal.rig,
         motion,
         parameters: &[],
-        priors: &priors,
+        errors: &errors,
         options: &options,
+        held: None,
         spent: Cell::new(0),
     };
-    let after = solve.evaluate(calibrated, &[], observations, noise, None)?;
-    let before = solve.evaluate(nominal, &[], &after.observations, noise, Some(&after.state))?;
+    let after = adjuster.evaluate(calibrated, &[], observations, noise, None)?;
+    let before = adjuster.evaluate(nominal, &[], &after.observations, noise, Some(&after.state))?;
     Ok((before, after))
 }
 
-/// Adjusts the free parameters, the scene points, the board's pose and the joint deviations together.
+/// Adjusts the free parameters, the scene points, the board's pose and the errors of single postures together.
 pub fn calibrate_bundle(
     nominal: &Rig,
     data: &Correspondences,
@@ -94,127 +101,80 @@ pub fn calibrate_bundle(
     let mut warnings = Vec::new();
     let motion = Motion::new(nominal, &data.postures)?;
     let all = Observations::new(nominal, data, &|_| true, &mut warnings)?;
-    let parameters = options.free.candidates(nominal, motion.has_joints(), all.depth_count() > 0)?;
-    if parameters.is_empty() {
-        return Err(CalibrationError::NothingFree);
-    }
+    let parameters = free_parameters(nominal, &motion, &all, options)?;
     if !motion.has_joints() {
         warnings.push(Warning::FlangePosesOnly);
     }
-    let residuals = 2 * all.sightings.len() + all.depth_count() + 2 * all.corners.len();
-    let freedom = residuals.saturating_sub(3 * all.track_count() + if all.corners.is_empty() { 0 } else { 6 });
-    let need = 2 * parameters.len();
-    if freedom < need {
-        let what = "residuals of tracks and board corners (beyond those that their own points take)".to_owned();
-        return Err(CalibrationError::TooFew { what, need, got: freedom, parameters: parameters.len() });
-    }
-    let priors = Priors { sigmas: prior::sigmas(nominal, &options.free, options.priors, &parameters) };
-    let (joints, first_deviation) = deviation_unknowns(nominal, &motion, options, &mut warnings);
-
+    let errors = PostureErrorModel::new(nominal, &motion, options, &mut warnings);
+    let ruler = free::ruler(nominal, &options.free, &parameters, motion.has_joints());
+    let held = ruler.filter(|_| options.ruler == RulerPolicy::Considered);
+    let adjuster = BundleAdjuster {
+        nominal,
+        motion: &motion,
+        parameters: &parameters,
+        errors: &errors,
+        options,
+        held: held.and_then(|held| parameters.iter().position(|parameter| *parameter == held)),
+        spent: Cell::new(0),
+    };
+    let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let (start, pixel) = start(nominal, data, &all, &parameters)?;
-    let noise = NoiseScales { pixel, depth: FIRST_DEPTH, deviation: first_deviation };
-    let solve =
-        Solve { nominal, motion: &motion, parameters: &parameters, priors: &priors, options, spent: Cell::new(0) };
-    let none = vec![0.0; joints * motion.len()];
-    let without = |out: &[usize]| {
-        let keep = |posture: usize| !out.contains(&posture);
-        Observations::new(nominal, data, &keep, &mut Vec::new())
-    };
-    // Most of the way on a sample, the last steps on everything. The sigma of the joints' deviations is held at first: estimated beside a posture that is wrong, it would grow
-    // until deviations explain anything.
-    let stride = all.sightings.len().div_ceil(SAMPLE_SIGHTS).max(1);
-    let mut sample = solve.adjust(&start, none, noise, all.sampled(stride), true)?;
-    let mut early = Vec::new();
-    for _ in 0..EARLY_LOOKS {
-        // The worst hide the less bad: look again without them.
-        let mut found = suspects(&judged(&sample.sizes, &sample.observations));
-        if joints > 0 {
-            found.extend(solve.far_off(&sample)?);
-            found.sort_unstable();
-            found.dedup();
-            found.truncate((motion.len() / 5).saturating_sub(early.len()));
-        }
-        if found.is_empty() || !options.leave_out_suspects {
-            break;
-        }
-        early.extend(found);
-        let rest = without(&early)?.sampled(stride);
-        let Adjusted { state, noise, termination, .. } = sample;
-        sample = solve.adjust(&state.model, state.deviations, noise, rest, true)?;
-        sample.termination.add_effort(&termination);
-    }
-    let everything = if early.is_empty() { all } else { without(&early)? };
-    let mut adjusted = if stride == 1 && early.is_empty() && joints == 0 {
-        sample
-    } else {
-        let Adjusted { state, noise, .. } = &sample;
-        let mut rest = solve.adjust(&state.model, state.deviations.clone(), *noise, everything, false)?;
-        rest.termination.add_effort(&sample.termination);
-        rest
-    };
-    let again = |from: &Adjusted, observations: Observations| -> Result<Adjusted, CalibrationError> {
-        let deviations = from.state.deviations.clone();
-        let mut next = solve.adjust(&from.state.model, deviations, from.noise, observations, false)?;
-        next.termination.add_effort(&from.termination);
-        Ok(next)
-    };
-    let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
-    let mut suspects = suspects(&judged(&adjusted.sizes, &adjusted.observations));
-    let found_late = !suspects.is_empty();
-    suspects.extend(early);
-    suspects.sort_unstable();
-    suspects.dedup();
-    if !suspects.is_empty() && options.leave_out_suspects {
-        if found_late {
-            adjusted = again(&adjusted, without(&suspects)?)?;
-        }
-        // A wrong posture spoils those that share its tracks: each is heard again beside those that are right.
-        let all_out = suspects.clone();
-        let mut told = Vec::new();
-        for &posture in &all_out {
-            let others: Vec<usize> = all_out.iter().copied().filter(|other| *other != posture).collect();
-            let beside = without(&others)?;
-            let Adjusted { state, noise, .. } = &adjusted;
-            let heard = solve.evaluate(&state.model, &state.deviations, &beside, *noise, None)?;
-            let beside = judged(&heard.sizes, &heard.observations);
-            if crate::bundle::suspects::suspects(&beside).contains(&posture) {
-                told.push(beside[posture]);
-            } else {
-                suspects.retain(|suspect| *suspect != posture);
-            }
-        }
-        if suspects.len() < all_out.len() {
-            adjusted = again(&adjusted, without(&suspects)?)?;
-        }
-        fits = posture_fits(&adjusted.sizes, data.postures.len());
-        suspects.iter().zip(told).for_each(|(&posture, fit)| fits[posture] = fit);
-    }
-    warnings.extend(suspects.iter().map(|&posture| Warning::SuspectPosture {
-        posture,
-        index: data.postures[posture].index,
-        outlier_fraction: fits[posture].outliers as f64 / fits[posture].observations.max(1) as f64,
-        median_sigmas: fits[posture].median_sigmas,
-        left_out: options.leave_out_suspects,
-    }));
-    let unseen = fits.iter().enumerate().filter(|(_, fit)| fit.observations == 0);
-    warnings.extend(unseen.map(|(posture, _)| Warning::UnseenPosture { posture, index: data.postures[posture].index }));
-    solve.conclude(data, adjusted, fits, joints, warnings)
+    let noise = NoiseScales { pixel, depth: FIRST_DEPTH, posture: errors.first };
+    let screened = adjuster.screen(data, &start, noise, priors, all)?;
+    let (adjusted, fits) = adjuster.without_outliers(data, screened, &mut warnings)?;
+    adjuster.conclude(data, adjusted, fits, ruler, warnings)
 }
 
-pub(super) struct Solve<'a> {
+/// What is free, if the observations are enough for it.
+fn free_parameters(
+    nominal: &Rig,
+    motion: &Motion,
+    all: &Observations,
+    options: &BundleOptions,
+) -> Result<Vec<Parameter>, CalibrationError> {
+    let has_board = !all.corners.is_empty();
+    let mut parameters = options.free.candidates(nominal, motion.has_joints(), all.depth_count() > 0)?;
+    if options.free.is_open() && !has_board {
+        // A board that no image shows has no size to be wrong about.
+        parameters.retain(|parameter| *parameter != Parameter::BoardScale);
+    }
+    if parameters.is_empty() {
+        return Err(CalibrationError::NothingFree);
+    }
+    let residuals = 2 * all.sightings.len() + all.depth_count() + 2 * all.corners.len();
+    let got = residuals.saturating_sub(3 * all.track_count() + if has_board { 6 } else { 0 });
+    let need = 2 * parameters.len();
+    if got < need {
+        let what = "residuals of tracks and board corners (beyond those that their own points take)".to_owned();
+        return Err(CalibrationError::TooFew { what, need, got, parameters: parameters.len() });
+    }
+    Ok(parameters)
+}
+
+/// Everything that an adjustment needs and that stays the same.
+pub(super) struct BundleAdjuster<'a> {
     pub nominal: &'a Rig,
     pub motion: &'a Motion,
     pub parameters: &'a [Parameter],
-    pub priors: &'a Priors,
+    pub errors: &'a PostureErrorModel,
     pub options: &'a BundleOptions,
+    /// A parameter that is held and considered in the covariance.
+    pub held: Option<usize>,
     /// Iterations of all adjustments so far on data that are not exact.
     pub spent: Cell<usize>,
 }
 
-impl Solve<'_> {
+/// The adjustment on everything, and the postures that were excluded on the way.
+struct Screened {
+    adjusted: Adjusted,
+    excluded: Vec<usize>,
+}
+
+impl BundleAdjuster<'_> {
     fn adjustment<'b>(
         &'b self,
         observations: &'b Observations,
+        priors: &'b Priors,
         noise: NoiseScales,
         loss: Loss,
         balance: Balance,
@@ -224,11 +184,131 @@ impl Solve<'_> {
             motion: self.motion,
             observations,
             parameters: self.parameters,
-            priors: self.priors,
+            priors,
             loss,
             noise,
+            errors: self.errors,
             balance,
+            held: self.held,
         }
+    }
+
+    fn observations_without(&self, data: &Correspondences, out: &[usize]) -> Result<Observations, CalibrationError> {
+        Observations::new(self.nominal, data, &|posture| !out.contains(&posture), &mut Vec::new())
+    }
+
+    /// Most of the way on a sample, the last steps on everything. The sigma of the posture errors is held at first: estimated beside a posture that is wrong, it would
+    /// grow until such errors explain anything.
+    fn screen(
+        &self,
+        data: &Correspondences,
+        start: &Model,
+        noise: NoiseScales,
+        priors: Priors,
+        all: Observations,
+    ) -> Result<Screened, CalibrationError> {
+        let components = self.errors.kinds.len();
+        let none = vec![0.0; components * self.motion.len()];
+        let stride = all.sightings.len().div_ceil(SAMPLE_OBSERVATIONS).max(1);
+        let mut sample = self.adjust(start, none, noise, priors, all.sampled(stride), true)?;
+        let mut excluded = Vec::new();
+        for _ in 0..MAX_SCREENING_ROUNDS {
+            // The worst hide the less bad: look again without them.
+            let mut found = outlier_postures(&judged(&sample.sizes, &sample.observations));
+            if components > 0 {
+                found.extend(self.far_off(&sample)?);
+                found.sort_unstable();
+                found.dedup();
+                found.truncate((self.motion.len() / 5).saturating_sub(excluded.len()));
+            }
+            if found.is_empty() || !self.options.exclude_outlier_postures {
+                break;
+            }
+            excluded.extend(found);
+            let rest = self.observations_without(data, &excluded)?.sampled(stride);
+            let Adjusted { state, noise, priors, termination, .. } = sample;
+            sample = self.adjust(&state.model, state.posture_errors, noise, priors, rest, true)?;
+            sample.termination.add_effort(&termination);
+        }
+        if stride == 1 && excluded.is_empty() && components == 0 {
+            return Ok(Screened { adjusted: sample, excluded });
+        }
+        let everything = if excluded.is_empty() { all } else { self.observations_without(data, &excluded)? };
+        Ok(Screened { adjusted: self.again(&sample, everything)?, excluded })
+    }
+
+    /// The same from where an adjustment ended, on other observations.
+    fn again(&self, from: &Adjusted, observations: Observations) -> Result<Adjusted, CalibrationError> {
+        let errors = from.state.posture_errors.clone();
+        let mut next =
+            self.adjust(&from.state.model, errors, from.noise, from.priors.clone(), observations, false)?;
+        next.termination.add_effort(&from.termination);
+        Ok(next)
+    }
+
+    /// Excludes the postures that still do not fit, readmits those that do, and reports both.
+    fn without_outliers(
+        &self,
+        data: &Correspondences,
+        screened: Screened,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<(Adjusted, Vec<PostureFit>), CalibrationError> {
+        let Screened { mut adjusted, excluded } = screened;
+        let exclude = self.options.exclude_outlier_postures;
+        let mut fits = posture_fits(&adjusted.sizes, data.postures.len());
+        let mut outliers = outlier_postures(&judged(&adjusted.sizes, &adjusted.observations));
+        let found_late = !outliers.is_empty();
+        outliers.extend(excluded);
+        outliers.sort_unstable();
+        outliers.dedup();
+        if !outliers.is_empty() && exclude {
+            if found_late {
+                adjusted = self.again(&adjusted, self.observations_without(data, &outliers)?)?;
+            }
+            let own_fits = self.readmitted(data, &adjusted, &mut outliers)?;
+            if own_fits.readmitted {
+                adjusted = self.again(&adjusted, self.observations_without(data, &outliers)?)?;
+            }
+            fits = posture_fits(&adjusted.sizes, data.postures.len());
+            outliers.iter().zip(own_fits.fits).for_each(|(&posture, fit)| fits[posture] = fit);
+        }
+        warnings.extend(outliers.iter().map(|&posture| Warning::OutlierPosture {
+            posture,
+            index: data.postures[posture].index,
+            outlier_fraction: fits[posture].outliers as f64 / fits[posture].observations.max(1) as f64,
+            median_sigmas: fits[posture].median_sigmas,
+            excluded: exclude,
+        }));
+        let unobserved = fits.iter().enumerate().filter(|(_, fit)| fit.observations == 0);
+        warnings.extend(unobserved.map(|(posture, _)| Warning::UnobservedPosture {
+            posture,
+            index: data.postures[posture].index,
+        }));
+        Ok((adjusted, fits))
+    }
+
+    /// A wrong posture spoils those that share its tracks: each is tried again beside those that are right.
+    fn readmitted(
+        &self,
+        data: &Correspondences,
+        adjusted: &Adjusted,
+        outliers: &mut Vec<usize>,
+    ) -> Result<Readmission, CalibrationError> {
+        let all_out = outliers.clone();
+        let mut fits = Vec::new();
+        for &posture in &all_out {
+            let others: Vec<usize> = all_out.iter().copied().filter(|other| *other != posture).collect();
+            let beside = self.observations_without(data, &others)?;
+            let Adjusted { state, noise, .. } = adjusted;
+            let evaluated = self.evaluate(&state.model, &state.posture_errors, &beside, *noise, None)?;
+            let beside = judged(&evaluated.sizes, &evaluated.observations);
+            if outlier_postures(&beside).contains(&posture) {
+                fits.push(beside[posture]);
+            } else {
+                outliers.retain(|outlier| *outlier != posture);
+            }
+        }
+        Ok(Readmission { readmitted: outliers.len() < all_out.len(), fits })
     }
 
     /// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be triangulated take
@@ -236,16 +316,16 @@ impl Solve<'_> {
     fn evaluate(
         &self,
         model: &Model,
-        deviations: &[f64],
+        posture_errors: &[f64],
         observations: &Observations,
         noise: NoiseScales,
         fallback: Option<&State>,
     ) -> Result<Evaluated, CalibrationError> {
         let mut observations = observations.clone();
-        let priors = Priors { sigmas: Vec::new() };
+        let priors = Priors::none(0);
         let loss = Loss::Cauchy(20.0);
-        let mut state = posed_state(model, deviations.to_vec(), self.motion, &observations, &noise, loss)?;
-        state.deviations = Vec::new();
+        let mut state = posed_state(model, posture_errors.to_vec(), self.motion, &observations, &noise, loss)?;
+        state.posture_errors = Vec::new();
         let known = fallback.map(|known| &known.points[..]);
         let mut points = triangulate_all(&observations, &state.view(&noise, loss), known);
         match fallback {
@@ -257,16 +337,11 @@ impl Solve<'_> {
         }
         state.points = points.into_iter().flatten().collect();
         let adjustment = Adjustment {
-            nominal: self.nominal,
-            motion: self.motion,
-            observations: &observations,
             parameters: &[],
-            priors: &priors,
-            loss,
-            noise,
-            balance: Balance::EVEN,
+            held: None,
+            ..self.adjustment(&observations, &priors, noise, loss, Balance::EVEN)
         };
-        let state = match (deviations.is_empty(), state.base_from_board) {
+        let state = match (posture_errors.is_empty(), state.base_from_board) {
             (true, Some(_)) => adjustment.descend(state, 50)?.state,
             _ => state,
         };
@@ -274,95 +349,134 @@ impl Solve<'_> {
         Ok(Evaluated { sizes, state, observations })
     }
 
-    fn estimates_deviations(&self) -> bool {
-        self.options.deviations == DeviationPolicy::Estimated && self.nominal.prior.joint_deviation_deg.is_none()
-    }
-
-    /// Triangulates, then descends in rounds until the noise has settled. A `rough` adjustment holds the sigma of the deviations.
+    /// Triangulates, then descends in rounds until the noise has settled. A `rough` adjustment holds the variance components of posture errors and arm.
     fn adjust(
         &self,
         start: &Model,
-        deviations: Vec<f64>,
+        posture_errors: Vec<f64>,
         mut noise: NoiseScales,
+        mut priors: Priors,
         mut observations: Observations,
         rough: bool,
     ) -> Result<Adjusted, CalibrationError> {
         let loss = self.options.loss;
-        let joints = deviations.len();
-        let mut state = posed_state(start, deviations, self.motion, &observations, &noise, loss)?;
-        let points = self.adjustment(&observations, noise, Loss::Cauchy(2.0), Balance::EVEN).triangulate(&state);
+        let mut state = posed_state(start, posture_errors, self.motion, &observations, &noise, loss)?;
+        let points =
+            self.adjustment(&observations, &priors, noise, Loss::Cauchy(2.0), Balance::EVEN).triangulate(&state);
         observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
         state.points = points.into_iter().flatten().collect();
-        let unknown_count = self.parameters.len() + 6 * usize::from(state.base_from_board.is_some());
-        let mut sizes = self.adjustment(&observations, noise, loss, Balance::EVEN).residual_sizes(&state);
+        let mut sizes = self.adjustment(&observations, &priors, noise, loss, Balance::EVEN).residual_sizes(&state);
         noise = rescaled(&sizes, &noise, 1.0);
         let mut balance = Balance::EVEN;
-        let (mut iterations, mut evaluations, mut rounds, mut vain) = (0, 0, 0, 0);
+        let mut effort = Effort::default();
         let mut initial_cost = None;
-        let [one, all] = PATIENCE.map(|rounds| rounds * self.options.max_iterations);
-        let allowed = one.min(all.saturating_sub(self.spent.get())).max(LEAST_ITERATIONS);
+        let [one, all] = ITERATION_BUDGET.map(|rounds| rounds * self.options.max_iterations);
+        let allowed = one.min(all.saturating_sub(self.spent.get())).max(MIN_ITERATIONS);
         let (reason, final_cost) = loop {
-            rounds += 1;
-            let adjustment = self.adjustment(&observations, noise, loss, balance);
-            let limit = self.options.max_iterations.min(allowed.saturating_sub(vain).max(1));
+            effort.rounds += 1;
+            let adjustment = self.adjustment(&observations, &priors, noise, loss, balance);
+            let limit = self.options.max_iterations.min(allowed.saturating_sub(effort.wasted).max(1));
             let descent = adjustment.descend(state, limit)?;
-            iterations += descent.iterations;
-            evaluations += descent.evaluations;
+            effort.iterations += descent.iterations;
+            effort.evaluations += descent.evaluations;
             initial_cost.get_or_insert(descent.initial_cost);
             state = descent.state;
             sizes = adjustment.residual_sizes(&state);
-            let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
             let next_balance = Balance::of(&sizes, loss);
-            let told = if joints > 0 && !rough {
-                self.deviations_told(&Adjustment { balance: next_balance, ..adjustment }, &state)?
-            } else {
-                None
-            };
-            let taken = unknown_count as f64 + told.as_ref().map_or(0.0, |told| told.determined);
-            let left = 1.0 - taken / freedom.max(1.0);
-            let mut next = rescaled(&sizes, &noise, left);
-            // How sure corners are beside other sights is not known beforehand either: each kind tells its own noise.
-            let (of_tracks, of_corners) = sizes.split_at(observations.sightings.len().min(sizes.len()));
-            let mut corner_factor = 1.0;
-            if of_tracks.len().min(of_corners.len()) >= LEAST_OF_A_KIND {
-                next = rescaled(of_tracks, &noise, left);
-                corner_factor = (rescaled(of_corners, &noise, left).pixel / next.pixel).clamp(0.1, 10.0);
-            }
-            if let (Some(sigma), true) = (told.and_then(|told| told.sigma), self.estimates_deviations()) {
-                // The fixed point is approached by small factors; their square halves the number of rounds.
-                let factor = (sigma / noise.deviation).clamp(0.3, 3.0);
-                next.deviation = (noise.deviation * factor * factor).clamp(LEAST_DEVIATION, LARGEST_DEVIATION);
-            }
+            let adjustment = Adjustment { balance: next_balance, ..adjustment };
+            let next = self.reestimated(&adjustment, &state, &sizes, rough)?;
             if noise.pixel > EXACT_SIGMA {
-                vain += descent.iterations;
+                effort.wasted += descent.iterations;
             }
-            let change = |old: f64, new: f64| (new / old - 1.0).abs();
-            let deviation_settled = next.deviation == noise.deviation
-                || next.deviation <= LEAST_DEVIATION && noise.deviation <= LEAST_DEVIATION
-                || change(noise.deviation, next.deviation) < 5.0 * SETTLED;
-            let settled = change(noise.pixel, next.pixel) < SETTLED
-                && change(noise.depth, next.depth) < SETTLED
-                && change(corner_factor, 1.0) < 5.0 * SETTLED
-                && deviation_settled
-                && (joints == 0 || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
-            if settled || rounds >= self.options.max_rounds || vain >= allowed {
+            let settled = next.is_settled(&noise, &priors, rough)
+                && (self.errors.kinds.is_empty()
+                    || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
+            if settled || effort.rounds >= self.options.max_rounds || effort.wasted >= allowed {
                 break (descent.reason, descent.cost);
             }
-            noise = next;
-            observations.scale_corner_sigma(corner_factor);
+            noise = next.noise;
+            priors = next.priors;
+            observations.scale_corner_sigma(next.corner_factor);
             balance = next_balance;
         };
-        self.spent.set(self.spent.get() + vain);
+        self.spent.set(self.spent.get() + effort.wasted);
         let initial_cost = initial_cost.unwrap_or_default();
+        let Effort { iterations, evaluations, rounds, .. } = effort;
         let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };
-        Ok(Adjusted { state, noise, observations, balance: Balance::of(&sizes, loss), sizes, termination })
+        Ok(Adjusted { state, noise, priors, observations, balance: Balance::of(&sizes, loss), sizes, termination })
     }
 
-    /// Postures whose joints would have to deviate far more than those of the others.
+    /// Noise and prior sigmas as the residuals and errors at an optimum have them.
+    fn reestimated(
+        &self,
+        adjustment: &Adjustment<'_>,
+        state: &State,
+        sizes: &[ResidualSize],
+        rough: bool,
+    ) -> Result<Reestimated, CalibrationError> {
+        let Adjustment { observations, noise, priors, .. } = *adjustment;
+        let estimate = match self.errors.kinds.is_empty() || rough {
+            true => None,
+            false => self.posture_error_estimate(adjustment, state)?,
+        };
+        let unknown_count = self.parameters.len() + 6 * usize::from(state.base_from_board.is_some());
+        let taken = unknown_count as f64 + estimate.as_ref().map_or(0.0, |estimate| estimate.determined);
+        let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
+        let left = 1.0 - taken / freedom.max(1.0);
+        let mut next = rescaled(sizes, &noise, left);
+        // How sure corners are beside other observations is not known beforehand either: each kind has its own noise.
+        let (of_tracks, of_corners) = sizes.split_at(observations.sightings.len().min(sizes.len()));
+        let mut corner_factor = 1.0;
+        if of_tracks.len().min(of_corners.len()) >= MIN_OF_A_KIND {
+            next = rescaled(of_tracks, &noise, left);
+            corner_factor = (rescaled(of_corners, &noise, left).pixel / next.pixel).clamp(0.1, 10.0);
+        }
+        if let (Some(estimate), true) = (&estimate, self.errors.is_estimated()) {
+            // The fixed point is approached by small factors; their square halves the number of rounds.
+            let [low, high] = POSTURE_ERROR_BOUNDS;
+            let toward = |now: f64, then: f64| (now * (then / now).clamp(0.3, 3.0).powi(2)).clamp(low, high);
+            let (now, then) = (noise.posture, estimate.sigmas);
+            let of = |now: f64, then: f64| if now == then { now } else { toward(now, then) };
+            next.posture = PostureErrorSigmas {
+                angular: of(now.angular, then.angular),
+                linear: of(now.linear, then.linear),
+            };
+        }
+        let mut next_priors = priors.clone();
+        if !rough && PriorGroup::ALL.iter().any(|&group| priors.group_sigma(group).is_some()) {
+            let normal = self.data_normal(adjustment, state, 1.0)?;
+            let offsets = DVector::from_vec(Priors::offsets(self.nominal, &state.model, self.parameters));
+            next_priors = likeliest_groups(&self.without_held(normal), &offsets, priors);
+        }
+        Ok(Reestimated { noise: next, priors: next_priors, corner_factor })
+    }
+
+    /// Normal matrix of the data by the parameters, board and posture errors eliminated; `wider`: a factor on the sigmas of the posture errors.
+    fn data_normal(
+        &self,
+        adjustment: &Adjustment<'_>,
+        state: &State,
+        wider: f64,
+    ) -> Result<DMatrix<f64>, CalibrationError> {
+        let PostureErrorSigmas { angular, linear } = adjustment.noise.posture;
+        let sigmas = PostureErrorSigmas { angular: angular * wider, linear: linear * wider };
+        Ok(marginal(&adjustment.normal_matrix(state, &sigmas)?, self.parameters.len()))
+    }
+
+    /// A normal matrix in which the held parameter is known.
+    fn without_held(&self, mut normal: DMatrix<f64>) -> DMatrix<f64> {
+        if let Some(held) = self.held {
+            normal.row_mut(held).fill(0.0);
+            normal.column_mut(held).fill(0.0);
+        }
+        normal
+    }
+
+    /// Postures whose joints would have to be off far more than those of the others.
     fn far_off(&self, adjusted: &Adjusted) -> Result<Vec<usize>, CalibrationError> {
-        let Adjusted { state, noise, observations, balance, .. } = adjusted;
-        let adjustment = self.adjustment(observations, *noise, self.options.loss, *balance);
-        Ok(self.deviations_told(&adjustment, state)?.map_or_else(Vec::new, |told| told.far_off))
+        let Adjusted { state, noise, priors, observations, balance, .. } = adjusted;
+        let adjustment = self.adjustment(observations, priors, *noise, self.options.loss, *balance);
+        Ok(self.posture_error_estimate(&adjustment, state)?.map_or_else(Vec::new, |estimate| estimate.far_off))
     }
 
     fn conclude(
@@ -370,25 +484,30 @@ impl Solve<'_> {
         data: &Correspondences,
         adjusted: Adjusted,
         fits: Vec<PostureFit>,
-        joints: usize,
+        ruler: Option<Parameter>,
         mut warnings: Vec<Warning>,
     ) -> Result<Calibration, CalibrationError> {
-        let Adjusted { state, noise, observations, sizes, balance, termination } = adjusted;
-        let loss = self.options.loss;
+        let Adjusted { state, noise, priors, observations, sizes, balance, termination } = adjusted;
         if !termination.reason.is_converged() {
             warnings.push(Warning::NotConverged { reason: termination.reason.to_string() });
         }
-        let count = self.parameters.len();
-        let adjustment = self.adjustment(&observations, noise, loss, balance);
-        let told = match joints > 0 && self.estimates_deviations() {
-            true => self.deviations_told(&adjustment, &state)?,
-            false => None,
+        let adjustment = self.adjustment(&observations, &priors, noise, self.options.loss, balance);
+        let normal = self.data_normal(&adjustment, &state, self.widening(&adjustment, &state)?)?;
+        let offsets = DVector::from_vec(Priors::offsets(self.nominal, &state.model, self.parameters));
+        let mut prior_normal = DMatrix::zeros(offsets.len(), offsets.len());
+        let mut ignored = DVector::zeros(offsets.len());
+        priors.add_to(self.nominal, &state.model, self.parameters, &mut prior_normal, &mut ignored);
+        let sigma_of = |parameter| {
+            stated_sigma(self.nominal, parameter).unwrap_or_else(|| default_sigma(self.nominal, parameter))
         };
-        // A sigma that was estimated with few degrees of freedom makes of the normal distribution one of Student's, whose covariance is wider.
-        let wider = told.map_or(1.0, |told| (told.freedom.max(4.0) / (told.freedom.max(4.0) - 2.0)).sqrt());
-        let information = marginal(&adjustment.information(&state, noise.deviation * wider)?, count);
-        let Told { covariance, identifiability, parameters: estimates } =
-            tell(self.nominal, &state.model, &data.postures, self.parameters, self.priors, &information, 1.0);
+        let held = self.held.map(|at| (at, sigma_of(self.parameters[at])));
+        let known = posterior(&normal, &prior_normal, &offsets, &priors, held);
+        let (total, considered) = match known {
+            Some(known) => (known.covariance, known.considered),
+            None => (covariance(&(&normal + &prior_normal), self.parameters), None),
+        };
+        let (identifiability, estimates) =
+            describe(self.nominal, &state.model, &data.postures, self.parameters, &priors, &normal, &total);
         let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
         let outlier_fraction = outliers as f64 / sizes.len().max(1) as f64;
         if outlier_fraction > 0.5 {
@@ -397,11 +516,14 @@ impl Solve<'_> {
         if noise.pixel > LARGE_SIGMA {
             warnings.push(Warning::LargeResiduals { sigma: noise.pixel });
         }
+        warnings.extend(beyond_prior(&estimates, &priors, &total));
         let nominal_model = Model::new(self.nominal.clone());
         let before = self.evaluate(&nominal_model, &[], &observations, noise, Some(&state))?;
+        let components = self.errors.kinds.len();
+        let knowledge = self.posture_error_knowledge(&adjustment, &state)?;
         Ok(Calibration {
             parameters: estimates,
-            covariance: Some(covariance),
+            covariance: Some(total),
             identifiability: Some(identifiability),
             epipolar_before: epipolar_statistics(&nominal_model, data)?,
             epipolar_after: epipolar_statistics(&state.model, data)?,
@@ -410,16 +532,124 @@ impl Solve<'_> {
             noise: Noise {
                 pixel: noise.pixel,
                 depth_per_m: (observations.depth_count() > 0).then_some(noise.depth),
-                joint_deviation: (joints > 0).then_some(noise.deviation),
+                posture_angular: (components > 0).then_some(noise.posture.angular),
+                posture_linear: self.errors.kinds.contains(&crate::ErrorKind::Linear).then_some(noise.posture.linear),
                 outlier_fraction,
             },
+            ruler: ruler.map(|parameter| Ruler { parameter, sigma: sigma_of(parameter), covariance: considered }),
+            prior_scales: PriorGroup::ALL
+                .into_iter()
+                .filter_map(|group| Some(PriorScale { group, sigma: priors.group_sigma(group)? }))
+                .collect(),
             postures: fits,
-            joint_deviations: state.deviations.chunks(joints.max(1)).map(<[f64]>::to_vec).collect(),
+            posture_errors: state.posture_errors.chunks(components.max(1)).map(<[f64]>::to_vec).collect(),
+            posture_error_knowledge: knowledge,
             termination,
             warnings,
             model: state.model,
         })
     }
+
+    /// A sigma that was estimated with few degrees of freedom makes of the normal distribution one of Student's, whose covariance is wider: by this factor.
+    fn widening(&self, adjustment: &Adjustment<'_>, state: &State) -> Result<f64, CalibrationError> {
+        if !self.errors.is_estimated() {
+            return Ok(1.0);
+        }
+        let freedom = self.posture_error_estimate(adjustment, state)?.map(|estimate| estimate.freedom.max(4.0));
+        Ok(freedom.map_or(1.0, |freedom| (freedom / (freedom - 2.0)).sqrt()))
+    }
+
+    /// Mean and covariance of the posture errors with everything else unknown: what tests of causes are made of.
+    fn posture_error_knowledge(
+        &self,
+        adjustment: &Adjustment<'_>,
+        state: &State,
+    ) -> Result<Option<PostureErrorKnowledge>, CalibrationError> {
+        let components = self.errors.kinds.len();
+        if components == 0 {
+            return Ok(None);
+        }
+        let sigmas = adjustment.noise.posture;
+        let mut normal = adjustment.normal_matrix(state, &sigmas)?;
+        let mut ignored = DVector::zeros(normal.nrows());
+        adjustment.priors.add_to(self.nominal, &state.model, self.parameters, &mut normal, &mut ignored);
+        let Some(covariance) = crate::bundle::adjust::inverse(&normal) else { return Ok(None) };
+        let count = state.posture_errors.len();
+        let first = normal.nrows() - count;
+        let sigma = self.errors.sigma_of(&sigmas);
+        Ok(Some(PostureErrorKnowledge {
+            components,
+            mean: DVector::from_column_slice(&state.posture_errors),
+            covariance: covariance.view((first, first), (count, count)).into_owned(),
+            sigmas: (0..count).map(&sigma).collect(),
+        }))
+    }
+}
+
+/// What became of excluded postures that were tried again.
+struct Readmission {
+    readmitted: bool,
+    /// Fits of those that stay out.
+    fits: Vec<PostureFit>,
+}
+
+#[derive(Default)]
+struct Effort {
+    iterations: usize,
+    evaluations: usize,
+    rounds: usize,
+    /// Iterations on data that are not exact.
+    wasted: usize,
+}
+
+struct Reestimated {
+    noise: NoiseScales,
+    priors: Priors,
+    corner_factor: f64,
+}
+
+fn change(old: f64, new: f64) -> f64 {
+    (new / old - 1.0).abs()
+}
+
+impl Reestimated {
+    fn is_settled(&self, noise: &NoiseScales, priors: &Priors, rough: bool) -> bool {
+        let floor = POSTURE_ERROR_BOUNDS[0];
+        let posture = |old: f64, new: f64| {
+            new == old || new <= floor && old <= floor || change(old, new) < 5.0 * SETTLED
+        };
+        let group = |group: PriorGroup| match (priors.group_sigma(group), self.priors.group_sigma(group)) {
+            (Some(old), Some(new)) => change(old, new) < 5.0 * SETTLED,
+            _ => true,
+        };
+        change(noise.pixel, self.noise.pixel) < SETTLED
+            && change(noise.depth, self.noise.depth) < SETTLED
+            && change(self.corner_factor, 1.0) < 5.0 * SETTLED
+            && (rough
+                || posture(noise.posture.angular, self.noise.posture.angular)
+                    && posture(noise.posture.linear, self.noise.posture.linear)
+                    && PriorGroup::ALL.into_iter().all(group))
+    }
+}
+
+/// A parameter that leaves its prior by so many sigmas is named.
+const BEYOND_PRIOR_SIGMAS: f64 = 3.0;
+
+/// Parameters that the data moved far out of their priors: no chance, but something that the prior did not expect.
+fn beyond_prior(estimates: &[crate::ParameterEstimate], priors: &Priors, covariance: &DMatrix<f64>) -> Vec<Warning> {
+    let of = |(k, estimate): (usize, &crate::ParameterEstimate)| {
+        let prior = priors.sigmas[k]?;
+        let change = estimate.value - estimate.nominal;
+        let sigmas = change.abs() / prior;
+        // What is not known to be away from nominal is no statement.
+        let known = change.abs() > BEYOND_PRIOR_SIGMAS * covariance[(k, k)].max(0.0).sqrt();
+        (sigmas > BEYOND_PRIOR_SIGMAS && known).then_some(Warning::BeyondPrior {
+            parameter: estimate.parameter,
+            change,
+            prior_sigma: prior,
+        })
+    };
+    estimates.iter().enumerate().filter_map(of).collect()
 }
 
 /// RMS over the sights that fit the calibrated model, so that before and after speak of the same; median over all.

@@ -127,7 +127,7 @@ pub(crate) fn start(
             (at - 1) % stride == 0
         });
     }
-    let free = parameters.iter().copied().filter(|p| !matches!(p, Parameter::DepthScale | Parameter::DepthOffset));
+    let free = parameters.iter().copied().filter(|p| p.moves_camera() || matches!(p, Parameter::Intrinsic(_)));
     let options = PairwiseOptions {
         free: Free::List(free.collect()),
         priors: PriorPolicy::Always,

@@ -12,7 +12,7 @@ use crate::synthetic::{
     room, seeded,
 };
 use crate::{
-    BundleOptions, Calibration, Correspondences, DeviationPolicy, Free, Loss, Model, Parameter, PriorPolicy,
+    BundleOptions, Calibration, Correspondences, PostureErrorPolicy, Free, Loss, Model, Parameter, PriorPolicy,
     UnseenCause, Warning, calibrate_bundle,
 };
 use nalgebra::{DVector, Vector3};
@@ -173,7 +173,7 @@ fn exact_data_are_fitted_exactly() {
     let (truth, data) = recording(manufacture(), 20, 2500, exact(), 1);
     let options = BundleOptions {
         free: Free::parse("arm,mount", &hp3j()).unwrap(),
-        deviations: DeviationPolicy::Off,
+        posture_errors: PostureErrorPolicy::Off,
         ..Default::default()
     };
     let mut free = Free::Auto.candidates(&hp3j(), true, false).unwrap();
@@ -196,7 +196,7 @@ fn exact_data_are_fitted_exactly() {
 #[test]
 fn noisy_rgbd_is_fitted_within_its_sigmas() {
     let (truth, data) = recording(manufacture(), 40, 4000, rgbd(), 2);
-    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
     let list: Vec<_> = result.parameters.iter().filter(|e| e.sigma.is_none()).collect();
     assert!(list.is_empty(), "{list:?}");
@@ -405,7 +405,7 @@ fn a_board_alone_gives_the_arm_its_scale() {
     assert_eq!(data.postures.len(), 30);
     let mut nominal = hp3j();
     nominal.board = Some(board);
-    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
     let result = calibrate_bundle(&nominal, &data, &options).unwrap();
     assert!((result.noise.pixel - 0.1).abs() < 0.01, "{:?} {}", result.noise, result.termination);
     assert!(largest_error_in_sigmas(&result, &truth) < 5.0, "{:#?}", result.parameters);
@@ -428,7 +428,7 @@ fn corners_and_tracks_tell_their_own_noise() {
     data.boards = seen.into_iter().enumerate().map(|(posture, o)| crate::BoardObservation { posture, ..o }).collect();
     let mut nominal = hp3j();
     nominal.board = Some(board);
-    let options = BundleOptions { deviations: DeviationPolicy::Off, ..Default::default() };
+    let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
     let together = calibrate_bundle(&nominal, &data, &options).unwrap();
     assert!((together.noise.pixel - 0.5).abs() < 0.05, "{:?}", together.noise);
     assert!(largest_error_in_sigmas(&together, &truth) < 5.0, "{:#?}", together.parameters);

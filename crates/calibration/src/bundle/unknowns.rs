@@ -1,21 +1,22 @@
-//! From camera poses to the numbers that move them: parameters, the board's pose, joint deviations.
+//! From camera poses to the numbers that move them: parameters, the board's pose, posture errors.
 
 use crate::bundle::pose_system::PoseSystem;
 use crate::bundle::reduced::CameraStep;
 use crate::bundle::state::State;
-use crate::bundle::view::{DEPTH_OFFSET, DEPTH_SCALE, SHARED};
+use crate::bundle::view::{BOARD_SCALE, DEPTH_OFFSET, DEPTH_SCALE, EXTRINSICS, SHARED};
+use crate::model::extrinsic_index;
 use crate::motion::{CameraMotion, Motion, in_base};
 use crate::{CalibrationError, Parameter};
 use nalgebra::{DMatrix, DVector, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
 use skclam_geometry::Isometry3;
 
-/// What is unknown, in this order: the parameters, six numbers of the board, deviations joint by joint and posture by posture.
+/// What is unknown, in this order: the parameters, six numbers of the board, errors posture by posture.
 pub(crate) struct Unknowns<'a> {
     pub parameters: &'a [Parameter],
     pub board: bool,
-    /// Joints whose deviations are unknown; 0 for none.
-    pub joints: usize,
+    /// Components of a posture's error; 0 for none.
+    pub components: usize,
     pub postures: usize,
 }
 
@@ -31,10 +32,10 @@ pub(crate) struct Columns {
 
 impl Unknowns<'_> {
     pub(crate) fn count(&self) -> usize {
-        self.first_deviation() + self.joints * self.postures
+        self.first_posture_error() + self.components * self.postures
     }
 
-    pub(crate) fn first_deviation(&self) -> usize {
+    pub(crate) fn first_posture_error(&self) -> usize {
         self.parameters.len() + if self.board { 6 } else { 0 }
     }
 
@@ -46,8 +47,8 @@ impl Unknowns<'_> {
         let cameras = (0..self.postures)
             .into_par_iter()
             .map(|posture| {
-                let deviation = motion.deviation(&state.deviations, posture);
-                motion.linearize(&state.model, self.parameters, posture, deviation)
+                let error = motion.error_of(&state.posture_errors, posture);
+                motion.linearize(&state.model, self.parameters, posture, error)
             })
             .collect::<Result<Vec<CameraMotion>, _>>()?;
         let matrix = |camera: &CameraMotion, columns: &[Vector6<f64>]| {
@@ -59,7 +60,7 @@ impl Unknowns<'_> {
         };
         Ok(Columns {
             by_parameter: cameras.iter().map(|camera| matrix(camera, &camera.by_parameter)).collect(),
-            by_joint: cameras.iter().map(|camera| matrix(camera, &camera.by_joint[..self.joints])).collect(),
+            by_joint: cameras.iter().map(|camera| matrix(camera, &camera.by_joint[..self.components])).collect(),
             shared: self.parameters.iter().map(|&parameter| shared_index(parameter)).collect(),
         })
     }
@@ -103,10 +104,10 @@ impl Unknowns<'_> {
             descent.rows_mut(at, 6).copy_from(&system.board_descent);
         }
         for (i, by_joint) in columns.by_joint.iter().enumerate() {
-            if self.joints == 0 {
+            if self.components == 0 {
                 break;
             }
-            let at = self.first_deviation() + i * self.joints;
+            let at = self.first_posture_error() + i * self.components;
             set_symmetric(&mut information, at, 0, &(by_joint.transpose() * &coupling[i]));
             if self.board {
                 let cross = by_joint.transpose() * dense(6, 6, system.board_by_pose[i].as_slice()).transpose();
@@ -114,10 +115,10 @@ impl Unknowns<'_> {
             }
             for (j, other) in columns.by_joint.iter().enumerate().skip(i) {
                 let block = by_joint.transpose() * (dense(6, 6, system.block(i, j).as_slice()) * other);
-                set_symmetric(&mut information, at, self.first_deviation() + j * self.joints, &block);
+                set_symmetric(&mut information, at, self.first_posture_error() + j * self.components, &block);
             }
             let pull = by_joint.transpose() * DVector::from_column_slice(system.descent[i].as_slice());
-            descent.rows_mut(at, self.joints).copy_from(&pull);
+            descent.rows_mut(at, self.components).copy_from(&pull);
         }
         (information, descent)
     }
@@ -127,9 +128,9 @@ impl Unknowns<'_> {
         let parameters = step.rows(0, self.parameters.len()).into_owned();
         let twists = (0..self.postures).map(|i| {
             let mut twist = &columns.by_parameter[i] * &parameters;
-            if self.joints > 0 {
-                let at = self.first_deviation() + i * self.joints;
-                twist += &columns.by_joint[i] * step.rows(at, self.joints);
+            if self.components > 0 {
+                let at = self.first_posture_error() + i * self.components;
+                twist += &columns.by_joint[i] * step.rows(at, self.components);
             }
             Vector6::from_column_slice(twist.as_slice())
         });
@@ -155,7 +156,7 @@ impl Unknowns<'_> {
         let parameters = self.parameters.len();
         let mut moved = State {
             model: state.model.stepped(self.parameters, &step.as_slice()[..parameters])?,
-            deviations: state.deviations.clone(),
+            posture_errors: state.posture_errors.clone(),
             points: Vec::new(),
             base_from_board: state.base_from_board,
             frames: Vec::new(),
@@ -168,8 +169,8 @@ impl Unknowns<'_> {
             );
             board.rotation.renormalize();
         }
-        let at = self.first_deviation();
-        moved.deviations.iter_mut().zip(&step.as_slice()[at..]).for_each(|(value, change)| *value += change);
+        let at = self.first_posture_error();
+        moved.posture_errors.iter_mut().zip(&step.as_slice()[at..]).for_each(|(value, change)| *value += change);
         moved.refresh_frames(motion)?;
         Ok(moved)
     }
@@ -187,6 +188,8 @@ fn shared_index(parameter: Parameter) -> Option<usize> {
         Parameter::Intrinsic(intrinsic) => Some(intrinsic as usize),
         Parameter::DepthOffset => Some(DEPTH_OFFSET),
         Parameter::DepthScale => Some(DEPTH_SCALE),
+        Parameter::DepthExtrinsic(component) => Some(EXTRINSICS + extrinsic_index(component)),
+        Parameter::BoardScale => Some(BOARD_SCALE),
         _ => None,
     }
 }

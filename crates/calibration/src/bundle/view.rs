@@ -8,10 +8,12 @@ use crate::{DepthCorrection, Loss};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 use skclam_geometry::{INTRINSICS, Isometry3, PinholeCamera, Point3};
 
-/// Intrinsics, depth offset, depth scale.
-pub(crate) const SHARED: usize = INTRINSICS + 2;
+/// Intrinsics, depth offset, depth scale, the depth camera's place (translation, rotation), the board's scale.
+pub(crate) const SHARED: usize = INTRINSICS + 9;
 pub(crate) const DEPTH_OFFSET: usize = INTRINSICS;
 pub(crate) const DEPTH_SCALE: usize = INTRINSICS + 1;
+pub(crate) const EXTRINSICS: usize = INTRINSICS + 2;
+pub(crate) const BOARD_SCALE: usize = INTRINSICS + 8;
 
 /// No sensor reads less, m.
 const NEAREST_M: f64 = 1e-3;
@@ -80,6 +82,19 @@ pub(crate) struct SharedSight {
     pub descent: SVector<f64, SHARED>,
 }
 
+/// How the depth that a pixel shows grows with the depth camera's translation and rotation in the colour camera's axes: the surface moves, and the pixel's
+/// ray meets it elsewhere where it is slanted.
+fn depth_by_extrinsics(sighting: &Sighting, in_camera: &Point3) -> [f64; 6] {
+    let z = sighting.depth_m;
+    let (x, y) = (in_camera.x / in_camera.z, in_camera.y / in_camera.z);
+    let [slope_x, slope_y] = sighting.depth_slope.map(|slope| slope / z);
+    let by_x = -slope_x;
+    let by_y = -slope_y;
+    let by_z = 1.0 + slope_x * x + slope_y * y;
+    // omega x p with p = z (x, y, 1).
+    [by_x, by_y, by_z, z * (by_z * y - by_y), z * (by_x - by_z * x), z * (by_y * x - by_x * y)]
+}
+
 impl View<'_> {
     pub(crate) fn frame(&self, sighting: &Sighting) -> &Frame {
         &self.frames[sighting.posture as usize]
@@ -95,7 +110,7 @@ impl View<'_> {
         let loss = self.scales.loss;
         let Some(pixel) = self.camera.project(&in_camera) else { return 2.0 * loss.rho(BEHIND) };
         let u = sighting.size(&(sighting.pixel - pixel)) / self.scales.pixel;
-        let depth = if sighting.depth_m > 0.0 { loss.rho(self.depth_residual(sighting, in_camera.z).0) } else { 0.0 };
+        let depth = if sighting.depth_m > 0.0 { loss.rho(self.depth_residual(sighting, &in_camera).0) } else { 0.0 };
         loss.rho(u) + depth
     }
 
@@ -104,9 +119,14 @@ impl View<'_> {
     /// It is taken in *inverse* depth of the sensor's own reading, where the noise `s z^2` of a depth is the constant `s`: weights made of
     /// noisy depths would count near readings more than far ones and shrink the world, and a residual in corrected metres would shrink with the
     /// depth's scale. The mean of the reciprocal of a reading with normal noise, `1/z + s^2 z`, is allowed for.
-    pub(crate) fn depth_residual(&self, sighting: &Sighting, z: f64) -> (f64, f64) {
+    pub(crate) fn depth_residual(&self, sighting: &Sighting, in_camera: &Point3) -> (f64, f64) {
         let s = self.scales.depth;
-        let expected = ((z - self.depth.offset_m) / self.depth.scale).max(NEAREST_M);
+        let mut z = in_camera.z - self.depth.offset_m;
+        if self.depth.extrinsics != [0.0; 6] {
+            let by = depth_by_extrinsics(sighting, in_camera);
+            z -= by.iter().zip(&self.depth.extrinsics).map(|(by, value)| by * value).sum::<f64>();
+        }
+        let expected = (z / self.depth.scale).max(NEAREST_M);
         let measured = 1.0 / sighting.depth_m - s * s * sighting.depth_m;
         ((1.0 / expected - measured) / s, 1.0 / (expected * expected * self.depth.scale * s))
     }
@@ -125,7 +145,7 @@ impl View<'_> {
         let (wu, wv) = (u * a + v * b, u * b + v * c);
         let (mut depth_weight, mut depth_pull) = (0.0, 0.0);
         if sighting.depth_m > 0.0 {
-            let (residual, slope) = self.depth_residual(sighting, in_camera.z);
+            let (residual, slope) = self.depth_residual(sighting, &in_camera);
             let weight = self.scales.loss.weight(residual);
             (depth_weight, depth_pull) = (weight * slope * slope, weight * residual * slope);
         }
@@ -172,17 +192,23 @@ impl View<'_> {
             }
         }
         if sighting.depth_m > 0.0 {
-            let (residual, slope) = self.depth_residual(sighting, in_camera.z);
+            let (residual, slope) = self.depth_residual(sighting, &in_camera);
             let weight = self.scales.loss.weight(residual);
             // The residual grows with the shared numbers where it falls with z.
             let by_offset = -slope;
             let by_scale = -slope * (in_camera.z - self.depth.offset_m) / self.depth.scale;
-            for (i, x) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+            let mut rows = [(0, 0.0); 8];
+            rows[..2].copy_from_slice(&[(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)]);
+            let by_extrinsics = depth_by_extrinsics(sighting, &in_camera);
+            for (k, by) in by_extrinsics.iter().enumerate() {
+                rows[2 + k] = (EXTRINSICS + k, -slope * by);
+            }
+            for (i, x) in rows {
                 for axis in 0..3 {
                     shared.by_point[(i, axis)] = weight * slope * x * frame.camera_from_base[(2, axis)];
                 }
                 shared.descent[i] = weight * residual * x;
-                for (j, y) in [(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)] {
+                for (j, y) in rows {
                     shared.information[(i, j)] = weight * x * y;
                 }
             }

@@ -156,8 +156,8 @@ pub fn show(summary: &Summary) {
         ]);
     }
     if let Some(held_out) = &summary.held_out {
-        let px = &held_out.figure_px;
-        let name = format!("held out: {}", held_out.figure);
+        let px = &held_out.metric_px;
+        let name = format!("held out: {}", held_out.metric);
         table.add_row([name, format!("{:.3}", px.nominal), format!("{:.3}", px.calibrated)]);
         if let Some(mount_only) = px.mount_only {
             table.add_row(["  the same with the mount alone".to_owned(), String::new(), format!("{mount_only:.3}")]);

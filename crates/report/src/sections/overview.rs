@@ -70,11 +70,11 @@ fn tiles(run: &RunResult) -> String {
         let change = numbers.change(&pointer(kind, "before", field), &pointer(kind, "after", field), "px");
         out += &tile(label, change, note);
     }
-    let held_out = "/held_out/figure_px/calibrated";
+    let held_out = "/held_out/metric_px/calibrated";
     out += &tile(
         "Held-out postures",
         match run.number(held_out) {
-            Some(_) => numbers.change("/held_out/figure_px/nominal", held_out, "px"),
+            Some(_) => numbers.change("/held_out/metric_px/nominal", held_out, "px"),
             None => numbers.show(held_out, Digits::Whole),
         },
         &escaped(match run.text("/held_out/figure") {

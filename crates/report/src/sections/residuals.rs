@@ -71,7 +71,7 @@ fn figures(run: &RunResult) -> String {
         row(name, "px", &pointer("before"), &pointer("after"));
     }
     let held_out = format!("Held out: {}", escaped(run.text("/held_out/figure")));
-    row(&held_out, "px", "/held_out/figure_px/nominal", "/held_out/figure_px/calibrated");
+    row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
     for (name, field) in [("Depth surfaces apart, median", "median_mm"), ("Depth surfaces apart, 90 %", "p90_mm")] {
         let pointer = |which: &str| format!("/map/agreement_{which}/{field}");
         row(name, "mm", &pointer("nominal"), &pointer("calibrated"));
@@ -82,10 +82,10 @@ fn figures(run: &RunResult) -> String {
         &["Residual", "Nominal", "Calibrated", "Unit"],
         &rows,
     );
-    if run.number("/held_out/figure_px/mount_only").is_some() {
+    if run.number("/held_out/metric_px/mount_only").is_some() {
         html += &format!(
             "<p>Held out, with the nominal arm and only its mount fitted: {}. What lies between that and the calibrated rig is the arm's.</p>\n",
-            numbers.with_unit("/held_out/figure_px/mount_only", Digits::Significant(3), "px")
+            numbers.with_unit("/held_out/metric_px/mount_only", Digits::Significant(3), "px")
         );
     }
     html
@@ -101,7 +101,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
     let names: Vec<String> = folds.iter().map(|fold| name(fold).unwrap_or_default()).collect();
     // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
     let trace = |label: &str, field: &str, color: &str, symbol: &str| {
-        let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["figure_px"][field].as_f64()).collect();
+        let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["metric_px"][field].as_f64()).collect();
         y.iter().any(Option::is_some).then(|| {
             json!({
                 "type": "scatter", "mode": "markers", "name": label, "x": names, "y": y, "hovertemplate": "%{y:.3g} px<extra></extra>",

@@ -5,23 +5,24 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, CalibrationError, Correspondences, CrossValidation, DeviationPolicy, Fold, Free, MountComponent,
-    Parameter, Rigs, cross_validate, neighbouring_folds,
+    BundleOptions, Calibration, CalibrationError, Correspondences, CrossValidation, Fold, Free, MountComponent, Parameter,
+    PostureErrorPolicy, Rigs, cross_validate, held_out_groups, jackknife_ratio,
 };
+use skclam_rig::Posture;
 
 /// How much is held out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeldOutOptions {
-    /// Groups of neighbouring postures that are held out in turn; fewer where there are fewer than two postures a group.
+    /// Groups of arm positions that are held out in turn; fewer where there are fewer than two postures a group.
     pub folds: usize,
-    /// Sightings (and pair matches) that a fit takes at about most, from tracks evenly over the recording; `None`: all.
-    pub max_sightings: Option<usize>,
+    /// Observations (and pair matches) that a fit takes at most, from tracks evenly over the recording; `None`: all.
+    pub max_observations: Option<usize>,
 }
 
 impl Default for HeldOutOptions {
     fn default() -> Self {
-        HeldOutOptions { folds: 6, max_sightings: Some(10_000) }
+        HeldOutOptions { folds: 6, max_observations: Some(10_000) }
     }
 }
 
@@ -30,47 +31,51 @@ impl Default for HeldOutOptions {
 pub struct FoldSummary {
     /// The recording's indices of the held-out postures.
     pub postures: Vec<u64>,
-    /// Their residuals, px; what they are stands in [`HeldOutSummary::figure`].
-    pub figure_px: Rigs<f64>,
+    /// Their residuals, px; what they are stands in [`HeldOutSummary::metric`].
+    pub metric_px: Rigs<f64>,
 }
 
 /// How the rigs fare on held-out postures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutSummary {
     /// "reprojection, RMS" or "epipolar distance, median".
-    pub figure: String,
-    /// The figure over all folds, px: the nominal rig, the nominal arm with its mount fitted, and the calibrated rig.
-    pub figure_px: Rigs<f64>,
+    pub metric: String,
+    /// The metric over all folds, px: the nominal rig, the nominal arm with its mount fitted, and the calibrated rig.
+    pub metric_px: Rigs<f64>,
     /// Each fold.
     pub folds: Vec<FoldSummary>,
     /// Folds in which the calibrated rig is better than the nominal one.
     pub better_folds: usize,
+    /// Variance of the camera's position as the scatter of the folds' fits has it (delete-a-group jackknife), over the one that the model of the noise claims; `null`
+    /// where there is no covariance. Above 1, the reported covariance was widened by it.
+    pub jackknife_ratio: Option<f64>,
 }
 
 impl HeldOutSummary {
     /// Whether the calibrated rig is better than the nominal one on postures that it was not fitted to.
     pub fn beats_nominal(&self) -> bool {
-        self.figure_px.calibrated < self.figure_px.nominal
+        self.metric_px.calibrated < self.metric_px.nominal
     }
 
     /// Whether the arm was worth calibrating: better than with the mount alone. `None` where that was not measured.
     pub fn beats_mount_only(&self) -> Option<bool> {
-        self.figure_px.mount_only.map(|mount_only| self.figure_px.calibrated < mount_only)
+        self.metric_px.mount_only.map(|mount_only| self.metric_px.calibrated < mount_only)
     }
 
-    fn of(validation: &CrossValidation, dataset: &Dataset) -> Self {
+    fn of(validation: &CrossValidation, dataset: &Dataset, jackknife_ratio: Option<f64>) -> Self {
         let reprojection = |fold: &Fold| fold.comparison.reprojection.calibrated.observations > 0;
-        let figure =
+        let metric =
             if validation.folds.iter().any(reprojection) { "reprojection, RMS" } else { "epipolar distance, median" };
         let folds = validation.folds.iter().map(|fold| FoldSummary {
             postures: fold.held_out.iter().map(|&position| dataset.records[position].posture.index).collect(),
-            figure_px: fold.figure_px(),
+            metric_px: fold.metric_px(),
         });
         HeldOutSummary {
-            figure: figure.to_owned(),
-            figure_px: validation.figure_px,
+            metric: metric.to_owned(),
+            metric_px: validation.metric_px,
             folds: folds.collect(),
             better_folds: validation.better_folds,
+            jackknife_ratio,
         }
     }
 }
@@ -82,6 +87,7 @@ pub(super) const POSTURES_A_FOLD: usize = 2;
 pub fn hold_out(
     dataset: &Dataset,
     data: &Correspondences,
+    whole: &Calibration,
     config: &Config,
     progress: &dyn Progress,
 ) -> Result<Result<HeldOutSummary, String>, RunError> {
@@ -91,20 +97,30 @@ pub fn hold_out(
         return Ok(Err(format!("{} postures are too few to leave some out", dataset.len())));
     }
     progress.begin(Stage::HoldOut, folds as u64);
-    let groups = neighbouring_folds(dataset.len(), folds);
-    let thin = thinned(data, options.max_sightings);
+    let postures: Vec<Posture> = dataset.records.iter().map(|record| record.posture.clone()).collect();
+    let groups = held_out_groups(&postures, folds);
+    let thin = thinned(data, options.max_observations);
     let stop = || if progress.stop_requested() { Err(CalibrationError::Interrupted) } else { Ok(()) };
     let all = |data: &Correspondences| stop().and_then(|()| estimate(&dataset.rig, &config.free, data, config));
     let mount = Free::List(MountComponent::ALL.map(Parameter::Mount).to_vec());
-    // Joint deviations would take up what is wrong with the arm, and they are zero on held-out postures anyway.
-    let bundle = BundleOptions { deviations: DeviationPolicy::Off, ..config.bundle.clone() };
+    // Errors of single postures would take up what is wrong with the arm, and they are zero on held-out postures anyway.
+    let bundle = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..config.bundle.clone() };
     let rigid = Config { bundle, ..config.clone() };
     let mount_only = |data: &Correspondences| stop().and_then(|()| estimate(&dataset.rig, &mount, data, &rigid));
     // With flange poses the mount and the camera are all that is free: there is no arm to judge.
     let arm_is_free = dataset.has_joints() && config.free != mount;
     let between: Option<&skclam_calibration::Estimate<'_>> = if arm_is_free { Some(&mount_only) } else { None };
     match cross_validate(&dataset.rig, &thin, &groups, &all, between, &|| progress.step()) {
-        Ok(validation) => Ok(Ok(HeldOutSummary::of(&validation, dataset))),
+        Ok(validation) => {
+            // The folds were fitted to a part of the observations: their scatter belongs beside what the same part claims.
+            let same = if thin == *data { Ok(whole.clone()) } else { all(&thin) };
+            let ratio = match same {
+                Ok(same) => jackknife_ratio(&dataset.rig, &same, &validation.folds, &postures)?,
+                Err(CalibrationError::Interrupted) => return Err(RunError::Interrupted),
+                Err(_) => None,
+            };
+            Ok(Ok(HeldOutSummary::of(&validation, dataset, ratio)))
+        }
         Err(CalibrationError::Interrupted) => Err(RunError::Interrupted),
         // The whole recording was enough, a part of it was not: no reason to lose the calibration.
         Err(error) => Ok(Err(format!("without some of the postures there is too little to fit: {error}"))),
@@ -112,9 +128,9 @@ pub fn hold_out(
 }
 
 /// Whole tracks evenly over the recording, and as large a part of the pair matches.
-pub(super) fn thinned(data: &Correspondences, max_sightings: Option<usize>) -> Correspondences {
+pub(super) fn thinned(data: &Correspondences, max_observations: Option<usize>) -> Correspondences {
     let mut thin = data.clone();
-    let Some(limit) = max_sightings else { return thin };
+    let Some(limit) = max_observations else { return thin };
     let keep = |share: f64| {
         let mut at = 0.0f64;
         move || {
@@ -147,7 +163,7 @@ mod tests {
             posture,
             pixel: Pixel::origin(),
             covariance: Matrix2::identity(),
-            depth_m: None,
+            depth_m: None, depth_slope: [0.0; 2],
         };
         let pair_match = PairMatch { in_a: Pixel::origin(), in_b: Pixel::origin(), sigma_px: 1.0, distance: 0 };
         let data = Correspondences {

@@ -75,8 +75,8 @@ fn fit(summary: &Summary, own: VerdictGrade, tell: &mut dyn FnMut(VerdictGrade, 
         .is_some_and(|held_out| held_out.beats_nominal() && held_out.beats_mount_only() != Some(false));
     tell(if beaten { VerdictGrade::Good } else { own }, told.to_owned());
     if let (Some(held_out), Some(fitted)) = (&summary.held_out, &calibration.reprojection_after) {
-        let px = held_out.figure_px.calibrated;
-        if held_out.figure.starts_with("reprojection") && px > SYSTEMATIC.1 && px > SYSTEMATIC.0 * fitted.rms_px {
+        let px = held_out.metric_px.calibrated;
+        if held_out.metric.starts_with("reprojection") && px > SYSTEMATIC.1 && px > SYSTEMATIC.0 * fitted.rms_px {
             let text = format!(
                 "Held-out postures stay {px:.1} px off, fitted ones {:.1} px: something is wrong that is not among the free parameters, or the postures are too few.",
                 fitted.rms_px

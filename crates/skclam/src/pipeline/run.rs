@@ -111,19 +111,22 @@ pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progre
 fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, VerdictGrade), RunError> {
     let Gathered { images, pairs, data, tracks, mut board, mut told, camera_fixed } =
         gather(dataset, config, progress)?;
-    let calibration = calibrate(dataset, &data, config, progress)?;
+    let mut calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
     }
     let held_out = match unexplained(&calibration) {
         // Long fits that cannot succeed would not change the verdict.
         true => Err("it does not explain the postures that it was fitted to".to_owned()),
-        false => hold_out(dataset, &data, config, progress)?,
+        false => hold_out(dataset, &data, &calibration, config, progress)?,
     };
     if let Err(reason) = &held_out {
         told.push(format!("the calibration was not judged on held-out postures: {reason}"));
     }
     let held_out = held_out.ok();
+    if let Some(ratio) = held_out.as_ref().and_then(|held_out| held_out.jackknife_ratio) {
+        calibration.widen(ratio);
+    }
     let pose_sigmas = pose_sigmas(dataset, &calibration)?;
     let [recorded_poses, workspace_poses] =
         [PostureSource::Recorded, PostureSource::Workspace].map(|source| PoseSigmaSummary::of(&pose_sigmas, source));

@@ -7,7 +7,7 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, Comparison, Correspondences, DeviationPolicy, EpipolarStatistics, Fold, Free, Model, MountComponent,
+    BundleOptions, Comparison, Correspondences, PostureErrorPolicy, EpipolarStatistics, Free, Model, MountComponent,
     Parameter, PriorPolicy, ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
 };
 use skclam_geometry::Isometry3;
@@ -65,8 +65,7 @@ pub fn validate(
     let everything: Vec<usize> = (0..dataset.len()).collect();
     let models = Rigs { nominal: &nominal, mount_only: None, calibrated: &tested };
     let comparison = compare_models(models, &data, &everything, SIGMA_PX)?;
-    let fold = Fold { held_out: everything, comparison };
-    let figure_px = fold.figure_px();
+    let figure_px = comparison.metric_px();
     let figure = if comparison.reprojection.calibrated.observations > 0 {
         "reprojection, RMS"
     } else {
@@ -104,7 +103,7 @@ fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> 
         free: free.clone(),
         // What is refitted has moved: its old value says nothing of the new one.
         priors: PriorPolicy::Never,
-        deviations: DeviationPolicy::Off,
+        posture_errors: PostureErrorPolicy::Off,
         ..config.bundle.clone()
     };
     Ok(calibrate_bundle(rig, data, &options)?.model)

@@ -89,8 +89,8 @@ impl Verdict {
                 told(VerdictGrade::Bad, sentence)
             };
         };
-        let px = &held_out.figure_px;
-        let figure = &held_out.figure;
+        let px = &held_out.metric_px;
+        let figure = &held_out.metric;
         if !held_out.beats_nominal() {
             let sentence = format!(
                 "This calibration does NOT beat the nominal rig on held-out postures ({figure}: nominal {:.2} px, calibrated {:.2} px). \

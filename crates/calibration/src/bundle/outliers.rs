@@ -9,10 +9,10 @@ use crate::bundle::residuals::ResidualSize;
 use crate::robust::median;
 
 /// A posture is suspect when so many of its sights are outliers, and so many more than everywhere.
-const SUSPECT_FRACTION: f64 = 0.5;
-const SUSPECT_EXCESS: f64 = 0.25;
+const OUTLIER_POSTURE_FRACTION: f64 = 0.5;
+const OUTLIER_POSTURE_EXCESS: f64 = 0.25;
 /// Or when its median residual is so many times that of the median posture.
-const SUSPECT_MEDIAN: f64 = 3.0;
+const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
 /// Sights that a judgement takes.
 const ENOUGH_SIGHTS: usize = 8;
 
@@ -34,7 +34,7 @@ pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec
 }
 
 /// Postures that fit far worse than the others; never more than a fifth of them.
-pub(crate) fn suspects(fits: &[PostureFit]) -> Vec<usize> {
+pub(crate) fn outlier_postures(fits: &[PostureFit]) -> Vec<usize> {
     let seen: Vec<(usize, &PostureFit)> =
         fits.iter().enumerate().filter(|(_, fit)| fit.observations >= ENOUGH_SIGHTS).collect();
     let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
@@ -44,8 +44,8 @@ pub(crate) fn suspects(fits: &[PostureFit]) -> Vec<usize> {
         .iter()
         .filter(|(_, fit)| {
             let excess = fraction(fit) - usual_fraction;
-            fraction(fit) > SUSPECT_FRACTION && excess > SUSPECT_EXCESS
-                || fit.median_sigmas > SUSPECT_MEDIAN * usual_median.max(1.0)
+            fraction(fit) > OUTLIER_POSTURE_FRACTION && excess > OUTLIER_POSTURE_EXCESS
+                || fit.median_sigmas > OUTLIER_POSTURE_MEDIAN * usual_median.max(1.0)
         })
         .map(|(posture, fit)| (fraction(fit), *posture))
         .collect();

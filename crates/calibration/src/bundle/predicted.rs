@@ -1,0 +1,93 @@
+//! Where a rig that was fitted to some postures expects the observations of others.
+
+use crate::board::{base_from_board_with, point_in_board};
+use crate::bundle::observations::{Observations, Sighting};
+use crate::bundle::start::triangulate_all;
+use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
+use crate::motion::Motion;
+use crate::{CalibrationError, Correspondences, Loss, Model};
+use skclam_geometry::{Isometry3, Pixel, Point3};
+
+/// Distances, px, of the observations of held-out postures to where the model expects them: first those of tracks, then of board corners, in the order of the data. Points and
+/// board lie where the other postures saw them. Infinite where a track has fewer than two other observations, or cannot be triangulated from them.
+pub(crate) fn predicted_distances(
+    model: &Model,
+    posture_errors: &[f64],
+    data: &Correspondences,
+    held_out: &[usize],
+) -> Result<Vec<f64>, CalibrationError> {
+    let motion = Motion::new(&model.rig, &data.postures)?;
+    let is_held = |posture: usize| held_out.contains(&posture);
+    let touching = Correspondences {
+        postures: data.postures.clone(),
+        tracks: data.tracks.iter().filter(|t| t.observations.iter().any(|o| is_held(o.posture))).cloned().collect(),
+        ..Default::default()
+    };
+    let observations = Observations::new(&model.rig, &touching, &|_| true, &mut Vec::new())?;
+    let trained = training_part(&observations, &is_held);
+    let mut state = State {
+        model: model.clone(),
+        posture_errors: posture_errors.to_vec(),
+        points: Vec::new(),
+        base_from_board: None,
+        frames: Vec::new(),
+    };
+    state.refresh_frames(&motion)?;
+    let noise = NoiseScales { pixel: 1.0, depth: 0.01, posture: PostureErrorSigmas { angular: 1.0, linear: 1.0 } };
+    let points = triangulate_all(&trained, &state.view(&noise, Loss::Cauchy(5.0)), None);
+    // Held-out postures are where their joints say.
+    let plain = State { posture_errors: Vec::new(), ..state.clone() };
+    let mut plain = plain;
+    plain.refresh_frames(&motion)?;
+    let distance = |sighting: &Sighting, point: &Point3| {
+        let in_camera = plain.frames[sighting.posture as usize].in_camera(point);
+        model.rig.color.project(&in_camera).map_or(f64::INFINITY, |pixel| (sighting.pixel - pixel).norm())
+    };
+    let mut distances = Vec::new();
+    for (track, point) in points.iter().enumerate() {
+        for sighting in observations.track(track).iter().filter(|s| is_held(s.posture as usize)) {
+            distances.push(point.map_or(f64::INFINITY, |point| distance(sighting, &point)));
+        }
+    }
+    distances.extend(board_distances(model, posture_errors, data, held_out)?);
+    Ok(distances)
+}
+
+/// The same tracks without the observations of held-out postures; a track with fewer than two others is empty.
+fn training_part(observations: &Observations, is_held: &dyn Fn(usize) -> bool) -> Observations {
+    let mut rest = Observations { offsets: vec![0], postures: observations.postures, ..Default::default() };
+    for track in 0..observations.track_count() {
+        let own = observations.track(track).iter().filter(|s| !is_held(s.posture as usize));
+        let own: Vec<Sighting> = own.copied().collect();
+        if own.len() >= 2 {
+            rest.sightings.extend(own);
+        }
+        rest.offsets.push(rest.sightings.len());
+    }
+    rest
+}
+
+fn board_distances(
+    model: &Model,
+    posture_errors: &[f64],
+    data: &Correspondences,
+    held_out: &[usize],
+) -> Result<Vec<f64>, CalibrationError> {
+    let seen: Vec<_> = data.boards.iter().filter(|seen| held_out.contains(&seen.posture)).collect();
+    let (Some(board), false) = (&model.rig.board, seen.is_empty()) else { return Ok(Vec::new()) };
+    let others: Vec<usize> = (0..data.postures.len()).filter(|posture| !held_out.contains(posture)).collect();
+    let base_from_board: Option<Isometry3> = base_from_board_with(model, posture_errors, data, &others)?;
+    let motion = Motion::new(&model.rig, &data.postures)?;
+    let mut distances = Vec::new();
+    for seen in seen {
+        let camera_from_base = motion.pose(model, seen.posture, &[])?.inverse();
+        let expected = |column: u32, row: u32| -> Option<Pixel> {
+            let point = base_from_board? * (point_in_board(board, column, row) * model.board_scale);
+            model.rig.color.project(&(camera_from_base * point))
+        };
+        distances.extend(seen.corners.iter().map(|&(column, row, pixel)| {
+            expected(column, row).map_or(f64::INFINITY, |expected| (pixel - expected).norm())
+        }));
+    }
+    Ok(distances)
+}
