@@ -6,16 +6,16 @@
 //! that the error of the arm would vanish from the metric. Three rigs stand side by side: the nominal one, the nominal arm with its mount fitted, and the
 //! calibrated one.
 //!
-//! The fits are a delete-a-group jackknife too ([`jackknife_ratio`]; Efron and Stein, "The jackknife estimate of variance", 1981): their scatter tells the covariance without any
+//! The fits are a delete-a-group jackknife too ([`jackknife`]; Efron and Stein, "The jackknife estimate of variance", 1981): their scatter tells the covariance without any
 //! model of the noise.
 
 use crate::bundle::{OUTLIER_SIGMAS, Observations, compare, predicted_distances};
 use crate::motion::Motion;
-use crate::pose_covariance::spread_to_poses;
+use crate::pose_covariance::aligned_position_variance;
 use crate::robust::median;
 use crate::{
     Calibration, CalibrationError, Correspondences, EpipolarStatistics, Model, Parameter, ReprojectionStatistics,
-    epipolar_statistics, position_sigma_m,
+    epipolar_statistics,
 };
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -346,18 +346,28 @@ pub fn cross_validate(
     })
 }
 
-/// By how much the variance of the camera's position over the recorded postures, as the scatter of the folds' fits has it (delete-a-group jackknife), exceeds the
-/// variance that the covariance of `whole` (the same estimate on all of the same data) claims without the part of the standard of length, which all folds
-/// share. `None` without a covariance, or with fewer than three folds.
-pub fn jackknife_ratio(
+/// What the scatter of the folds' fits says of the covariance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Jackknife {
+    /// Sigma of the camera's position over the recorded postures, the base frame fitted to them, as the scatter of the folds' fits has it, m.
+    pub scattered_m: f64,
+    /// The same as the covariance claims it, without the standard of length, which all folds share.
+    pub claimed_m: f64,
+    /// By how much the variance of the observations has to be larger, so that the covariance claims no less than the scatter; at least 1.
+    pub variance_factor: f64,
+}
+
+/// The delete-a-group jackknife over the folds' fits, beside what the covariance of `whole` (the same estimate on all of the same data) claims. `None` without
+/// a covariance of the bundle adjustment, or with fewer than three folds.
+pub fn jackknife(
     nominal: &Rig,
     whole: &Calibration,
     folds: &[Fold],
     postures: &[Posture],
-) -> Result<Option<f64>, CalibrationError> {
-    let (Some(covariance), true) = (&whole.covariance, folds.len() >= 3) else { return Ok(None) };
+) -> Result<Option<Jackknife>, CalibrationError> {
+    let (Some(claimed), Some(inputs)) = (whole.covariance_without_ruler(), &whole.posterior) else { return Ok(None) };
     let parameters: Vec<Parameter> = whole.parameters.iter().map(|estimate| estimate.parameter).collect();
-    if folds.iter().any(|fold| fold.offsets.len() != parameters.len()) {
+    if folds.len() < 3 || folds.iter().any(|fold| fold.offsets.len() != parameters.len()) {
         return Ok(None);
     }
     let count = folds.len() as f64;
@@ -368,17 +378,35 @@ pub fn jackknife_ratio(
         let away = offsets(fold) - &mean;
         scatter += &away * away.transpose() * ((count - 1.0) / count);
     }
-    let claimed = match whole.ruler.as_ref().and_then(|ruler| ruler.covariance.as_ref()) {
-        Some(considered) => covariance - considered,
-        None => covariance.clone(),
-    };
-    let variance = |covariance: &DMatrix<f64>| -> Result<f64, CalibrationError> {
-        let poses = spread_to_poses(nominal, &whole.model, &parameters, covariance, postures)?;
-        Ok(poses.iter().map(|pose| position_sigma_m(&pose.camera).powi(2)).sum())
-    };
+    let variance =
+        |covariance: &DMatrix<f64>| aligned_position_variance(nominal, &whole.model, &parameters, covariance, postures);
     let (scattered, claimed) = (variance(&scatter)?, variance(&claimed)?);
-    Ok((claimed > 0.0 && scattered.is_finite()).then(|| scattered / claimed))
+    if !(scattered.is_finite() && claimed > 0.0) {
+        return Ok(None);
+    }
+    let at = |factor: f64| -> Result<f64, CalibrationError> {
+        let Some(known) = inputs.tempered(factor).posterior() else { return Ok(f64::INFINITY) };
+        let of_ruler = known.ruler.map(|ruler| ruler.covariance * (ruler.sigma.powi(2) / (ruler.sigma.powi(2) + ruler.away_squared)));
+        variance(&match of_ruler {
+            Some(part) => known.own - part,
+            None => known.own,
+        })
+    };
+    let mut factor = 1.0;
+    if scattered > claimed {
+        // The claim grows with the factor until the priors alone hold it.
+        let (mut low, mut high) = (0.0, MOST_FACTOR.ln());
+        for _ in 0..30 {
+            let middle: f64 = 0.5 * (low + high);
+            if at(middle.exp())? < scattered { low = middle } else { high = middle }
+        }
+        factor = high.exp();
+    }
+    Ok(Some(Jackknife { scattered_m: scattered.sqrt(), claimed_m: claimed.sqrt(), variance_factor: factor }))
 }
+
+/// Observations that are worth less than by this factor of their variance say nothing.
+const MOST_FACTOR: f64 = 1e4;
 
 /// A metric over all folds: root of the mean square over their sights, or the mean of their medians where there are pairs alone.
 fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64> {

@@ -204,6 +204,7 @@ pub fn calibrate_nelder_mead(
         reprojection_after: None,
         noise: Noise { pixel: epipolar_after.median_sampson_px * 1.4826, ..Noise::default() },
         postures: Vec::new(),
+        posterior: None,
         ruler: None,
         prior_scales: Vec::new(),
         posture_errors: Vec::new(),

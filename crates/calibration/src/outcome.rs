@@ -1,5 +1,6 @@
 //! What an estimator hands back.
 
+use crate::bundle::PosteriorInputs;
 use crate::{EpipolarStatistics, Identifiability, Model, Parameter, PriorGroup, Termination, Warning};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -14,6 +15,8 @@ pub struct Calibration {
     /// Covariance of the free parameters in their order and units (rad, m, px ...), the data and the priors together. `None` for
     /// Nelder-Mead, which has none.
     pub covariance: Option<DMatrix<f64>>,
+    /// What the covariance is made of; `None` but for the bundle adjustment.
+    pub(crate) posterior: Option<PosteriorInputs>,
     /// What the data can tell. `None` for Nelder-Mead.
     pub identifiability: Option<Identifiability>,
     /// Epipolar distances of the pair matches under the nominal rig.
@@ -48,9 +51,15 @@ pub struct Ruler {
     /// The scale of the board's squares, or of the depth.
     pub parameter: Parameter,
     /// How well it is known beforehand: a fraction.
+    pub prior_sigma: f64,
+    /// How much larger than nominal it is, as the data, the arm's nominal lengths and its own tolerance together have it: a fraction.
+    pub mean: f64,
+    /// Sigma of that.
     pub sigma: f64,
-    /// What of the covariance it makes; `None` where it was estimated like the others.
-    pub covariance: Option<DMatrix<f64>>,
+    /// Whether the estimate takes it at its word all the same, since nothing contradicts that.
+    pub held: bool,
+    /// What of the covariance it makes.
+    pub covariance: DMatrix<f64>,
 }
 
 /// A prior sigma that the evidence chose.
@@ -76,21 +85,39 @@ pub struct PostureErrorKnowledge {
 }
 
 impl Calibration {
-    /// Makes the covariance (but for the part of the standard of length) wider by a ratio of variances above 1, and the sigmas with it: what is reported is never below what
-    /// the data show.
-    pub fn widen(&mut self, ratio: f64) {
-        let Some(covariance) = &mut self.covariance else { return };
-        if !(ratio > 1.0 && ratio.is_finite()) {
+    /// The covariance without what the standard of length makes of it; `None` where there is none.
+    pub fn covariance_without_ruler(&self) -> Option<DMatrix<f64>> {
+        let covariance = self.covariance.as_ref()?;
+        Some(match &self.ruler {
+            Some(ruler) => covariance - &ruler.covariance,
+            None => covariance.clone(),
+        })
+    }
+
+    /// Makes the covariance such as it would be if the observations were worth less by a factor (above 1) of their variance, and the sigmas with it: what is reported is
+    /// never below what the data show. Priors stay.
+    pub fn widen(&mut self, variance_factor: f64) {
+        let Some(inputs) = self.posterior.as_ref().filter(|_| variance_factor > 1.0 && variance_factor.is_finite())
+        else {
             return;
+        };
+        let Some(wider) = inputs.tempered(variance_factor).posterior() else { return };
+        let mut covariance = wider.own;
+        if let (Some(ruler), Some(own)) = (&mut self.ruler, wider.ruler) {
+            // The estimate stays where it is; how far the standard of length may be from it was known before.
+            let of_mean = if ruler.held { ruler.mean * ruler.mean } else { 0.0 };
+            let factor = 1.0 + of_mean / (own.sigma * own.sigma);
+            let part = own.covariance * ((own.sigma * own.sigma) / (own.sigma * own.sigma + own.away_squared));
+            covariance += &part * (factor - 1.0);
+            ruler.sigma = own.sigma;
+            ruler.covariance = part * factor;
         }
-        let considered = self.ruler.as_ref().and_then(|ruler| ruler.covariance.clone());
-        let considered = considered.unwrap_or_else(|| DMatrix::zeros(covariance.nrows(), covariance.ncols()));
-        *covariance = (&*covariance - &considered) * ratio + considered;
         for (k, estimate) in self.parameters.iter_mut().enumerate() {
             if let Some(sigma) = &mut estimate.sigma {
                 *sigma = covariance[(k, k)].max(0.0).sqrt();
             }
         }
+        self.covariance = Some(covariance);
     }
 }
 

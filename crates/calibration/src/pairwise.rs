@@ -345,6 +345,7 @@ pub fn calibrate_pairwise_from(
         reprojection_after: None,
         noise: Noise { pixel: round.sigma, outlier_fraction, ..Noise::default() },
         postures,
+        posterior: None,
         ruler: None,
         prior_scales: Vec::new(),
         posture_errors: Vec::new(),

@@ -75,6 +75,35 @@ pub(crate) fn spread_to_poses(
         .collect()
 }
 
+/// What is left of a covariance of camera positions over some postures, as the mean of their variances (m^2), once the base frame has been fitted to them: a rigid motion of the whole
+/// arm, which whoever registers the base with the arm itself does not notice.
+pub(crate) fn aligned_position_variance(
+    nominal: &Rig,
+    model: &Model,
+    parameters: &[Parameter],
+    covariance: &DMatrix<f64>,
+    postures: &[Posture],
+) -> Result<f64, CalibrationError> {
+    let motion = Motion::new(nominal, postures)?;
+    let count = postures.len();
+    let mut jacobian = DMatrix::zeros(3 * count, parameters.len());
+    let mut rigid = DMatrix::zeros(3 * count, 6);
+    for posture in 0..count {
+        let linear = motion.linearize(model, parameters, posture, &[])?;
+        let base_from_camera = linear.base_from_camera;
+        for (column, twist) in linear.by_parameter.iter().enumerate() {
+            let moved = base_from_camera.rotation * nalgebra::Vector3::new(twist[0], twist[1], twist[2]);
+            jacobian.fixed_view_mut::<3, 1>(3 * posture, column).copy_from(&moved);
+        }
+        rigid.fixed_view_mut::<3, 3>(3 * posture, 0).copy_from(&Matrix3::identity());
+        let turned = -base_from_camera.translation.vector.cross_matrix();
+        rigid.fixed_view_mut::<3, 3>(3 * posture, 3).copy_from(&turned);
+    }
+    let basis = rigid.qr().q();
+    let left = &jacobian - &basis * (basis.transpose() * &jacobian);
+    Ok((&left * covariance).component_mul(&left).sum() / count.max(1) as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

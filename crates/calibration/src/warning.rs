@@ -75,6 +75,15 @@ pub enum Warning {
         /// Sigma of its prior, in its unit.
         prior_sigma: f64,
     },
+    /// The arm's nominal lengths and the standard of length contradict each other; it was estimated beside them.
+    RulerContradicted {
+        /// The scale of the board's squares, or of the depth.
+        parameter: Parameter,
+        /// How much larger than nominal it seems to be: a fraction.
+        mean: f64,
+        /// Sigma of that.
+        sigma: f64,
+    },
     /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is free to explain them.
     LargeResiduals {
         /// Sigma of a coordinate in units of what its observation says of itself (px where that is 1).
@@ -131,6 +140,19 @@ impl fmt::Display for Warning {
                     change * factor,
                     change.abs() / prior_sigma,
                     prior_sigma * factor
+                )
+            }
+            Warning::RulerContradicted { parameter, mean, sigma } => {
+                let what = if *parameter == Parameter::BoardScale {
+                    "the board's squares (square_mm)"
+                } else {
+                    "the depth camera's scale (unit_mm)"
+                };
+                write!(
+                    f,
+                    "the arm's nominal lengths contradict {what}: {:+.2} % off with a sigma of {:.2} %; both were weighed by their tolerances",
+                    mean * 100.0,
+                    sigma * 100.0
                 )
             }
             Warning::LargeResiduals { sigma } => write!(

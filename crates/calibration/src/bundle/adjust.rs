@@ -137,13 +137,22 @@ impl Adjustment<'_> {
         residual_sizes(self.observations, &self.chunks(), &view, &state.points, state.placed_board().as_ref())
     }
 
-    /// Normal matrix of the data by all unknowns, points eliminated, less what the loss wastes of it; with the prior of the posture errors for some
-    /// sigmas, without those of the parameters.
+    /// [`Adjustment::normal_equations`] without the gradient.
     pub(crate) fn normal_matrix(
         &self,
         state: &State,
         sigmas: &PostureErrorSigmas,
     ) -> Result<DMatrix<f64>, CalibrationError> {
+        Ok(self.normal_equations(state, sigmas)?.0)
+    }
+
+    /// Normal matrix and negative gradient of the data by all unknowns, points eliminated, less what the loss wastes of them; with the prior of the posture errors for some
+    /// sigmas, without those of the parameters.
+    pub(crate) fn normal_equations(
+        &self,
+        state: &State,
+        sigmas: &PostureErrorSigmas,
+    ) -> Result<(DMatrix<f64>, DVector<f64>), CalibrationError> {
         let unknowns = self.unknowns(state);
         let view = state.view(&self.noise, self.loss);
         let board = state.placed_board();
@@ -151,13 +160,16 @@ impl Adjustment<'_> {
         let shared = unknowns.shared_free();
         let chunks = self.chunks();
         let (system, _) = reduce(self.observations, &chunks, &view, &state.points, board.as_ref(), shared, 0.0);
-        let mut normal = unknowns.assemble(&system, &columns).0 / self.balance.efficiency_factor;
+        let (normal, gradient) = unknowns.assemble(&system, &columns);
+        let mut normal = normal / self.balance.efficiency_factor;
+        let mut gradient = gradient / self.balance.efficiency_factor;
         let sigma = self.errors.sigma_of(sigmas);
-        (0..state.posture_errors.len()).for_each(|k| {
+        for (k, error) in state.posture_errors.iter().enumerate() {
             let at = unknowns.first_posture_error() + k;
             normal[(at, at)] += sigma(k).powi(-2);
-        });
-        Ok(normal)
+            gradient[at] -= sigma(k).powi(-2) * error;
+        }
+        Ok((normal, gradient))
     }
 
     #[cfg(test)]
@@ -217,6 +229,25 @@ pub(crate) fn marginal(information: &DMatrix<f64>, count: usize) -> DMatrix<f64>
         }
         None => own,
     }
+}
+
+/// The same with the negative gradient.
+pub(crate) fn marginal_equations(
+    normal: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    count: usize,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let total = normal.nrows();
+    let own = gradient.rows(0, count).into_owned();
+    if total == count {
+        return (normal.clone(), own);
+    }
+    let cross = normal.view((0, count), (count, total - count)).into_owned();
+    let rest = normal.view((count, count), (total - count, total - count)).into_owned();
+    let Some(factor) = rest.cholesky() else { return (marginal(normal, count), own) };
+    let reduced = normal.view((0, 0), (count, count)) - &cross * factor.solve(&cross.transpose());
+    let gradient = own - &cross * factor.solve(&gradient.rows(count, total - count).into_owned());
+    ((&reduced + reduced.transpose()) * 0.5, gradient)
 }
 
 /// The inverse; `None` where it is not positive definite.

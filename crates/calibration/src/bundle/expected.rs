@@ -12,11 +12,11 @@ use crate::motion::Motion;
 use crate::pose_covariance::spread_to_poses;
 use crate::prior::Priors;
 use crate::uncertainty::{covariance, describe};
-use crate::bundle::posterior::posterior;
+use crate::bundle::posterior::{Likelihood, posterior};
 use crate::bundle::random_effects::PostureErrorModel;
 use crate::{
     BundleOptions, CalibrationError, Correspondences, Free, Identifiability, Loss, Model, ParameterEstimate,
-    PoseCovariance, PostureErrorPolicy, PriorPolicy, default_sigma, stated_sigma,
+    PoseCovariance, PostureErrorPolicy, PriorPolicy,
 };
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -119,17 +119,16 @@ pub fn expected_calibration(
     };
     let normal = marginal(&adjustment.normal_matrix(&state, &noise.posture)?, parameters.len());
     let ruler = crate::free::ruler(nominal, &options.free, &parameters, motion.has_joints());
-    let held = ruler.and_then(|ruler| parameters.iter().position(|parameter| *parameter == ruler));
-    let sigma_of = |at: usize| {
-        stated_sigma(nominal, parameters[at]).unwrap_or_else(|| default_sigma(nominal, parameters[at]))
-    };
-    let mut prior_normal = DMatrix::zeros(parameters.len(), parameters.len());
-    let offsets = DVector::zeros(parameters.len());
-    priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut offsets.clone());
-    let covariance = match posterior(&normal, &prior_normal, &offsets, &priors, held.map(|at| (at, sigma_of(at)))) {
+    let ruler = ruler.and_then(|ruler| parameters.iter().position(|parameter| *parameter == ruler));
+    let count = parameters.len();
+    let mut prior_normal = DMatrix::zeros(count, count);
+    priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
+    let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
+    let covariance = match posterior(&likelihood, &prior_normal, &priors, ruler, true) {
         Some(known) => known.covariance,
-        None => covariance(&(&normal + &prior_normal), &parameters),
+        None => covariance(&(&likelihood.normal + &prior_normal), &parameters),
     };
+    let normal = likelihood.normal;
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
     let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;

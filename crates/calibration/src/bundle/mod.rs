@@ -30,6 +30,7 @@ pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
 pub use options::{BundleOptions, PostureErrorPolicy, RulerPolicy};
 pub use random_effects::ErrorKind;
+pub(crate) use posterior::PosteriorInputs;
 pub(crate) use predicted::predicted_distances;
 pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;

@@ -1,7 +1,9 @@
-//! The covariance of the parameters with everything in it that is not known: the scale of the arm's priors integrated over, the standard of length considered.
+//! The covariance of the parameters with everything in it that is not known: the scale of the arm's priors and the size of the standard of length, integrated over.
 //!
 //! About the optimum the likelihood of the data (posture errors, board and scene points eliminated) is a normal distribution of the parameters. For any sigmas of the
-//! prior groups its product with the prior, and the evidence for those sigmas, are then closed forms, and the covariance is that of the mixture over a grid of them.
+//! prior groups its product with the prior, and the evidence for those sigmas, are then closed forms, and the covariance is that of the mixture over a grid of them,
+//! about the optimum that is reported. The standard of length (the board's squares, or the depth's scale) may have been held there: how far the posterior moves it is then
+//! part of the covariance.
 
 use crate::bundle::adjust::inverse;
 use crate::prior::{LOG_SPREAD, PriorGroup, Priors};
@@ -11,30 +13,78 @@ use nalgebra::{DMatrix, DVector};
 const NODES: usize = 9;
 const REACH: f64 = 2.4;
 
-/// What is known of the parameters in the end.
-pub(super) struct Posterior {
-    /// Of the parameters, in their order and units.
-    pub covariance: DMatrix<f64>,
-    /// What of it comes from the considered parameter.
-    pub considered: Option<DMatrix<f64>>,
+/// The likelihood of the data by the parameters, everything else eliminated, about an optimum.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Likelihood {
+    /// Normal matrix.
+    pub normal: DMatrix<f64>,
+    /// Negative gradient at the optimum.
+    pub gradient: DVector<f64>,
+    /// The optimum: parameters less their nominal values.
+    pub offsets: DVector<f64>,
 }
 
-/// `normal`: of the data by the parameters, everything else eliminated. `prior_normal`: what priors add to it (the mount's rotations are curved). `offsets`: the
-/// parameters less their nominal values at the optimum under `priors`. `held`: the parameter that was held there, with its own sigma.
-pub(super) fn posterior(
-    normal: &DMatrix<f64>,
+/// All that a posterior is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PosteriorInputs {
+    pub likelihood: Likelihood,
+    /// What priors add to the normal matrix (the mount's rotations are curved).
+    pub prior_normal: DMatrix<f64>,
+    pub priors: Priors,
+    /// The position of the standard of length, which has a prior.
+    pub ruler: Option<usize>,
+    /// Whether it is held at its place.
+    pub held: bool,
+}
+
+impl PosteriorInputs {
+    pub(crate) fn posterior(&self) -> Option<Posterior> {
+        posterior(&self.likelihood, &self.prior_normal, &self.priors, self.ruler, self.held)
+    }
+
+    /// The same with observations that are worth less by a factor of their variance: what a parameter is known to beyond its prior, it is known to less.
+    pub(crate) fn tempered(&self, variance_factor: f64) -> Self {
+        let mut tempered = self.clone();
+        tempered.likelihood.normal /= variance_factor;
+        tempered.likelihood.gradient /= variance_factor;
+        tempered
+    }
+}
+
+/// What is known of the parameters in the end.
+pub(crate) struct Posterior {
+    /// Second moments about the optimum, which is what is reported, in the parameters' order and units.
+    pub covariance: DMatrix<f64>,
+    /// Covariance about its own mean.
+    pub own: DMatrix<f64>,
+    /// Of the standard of length, if there is one.
+    pub ruler: Option<RulerPosterior>,
+}
+
+/// What is known of the standard of length.
+pub(crate) struct RulerPosterior {
+    /// Mean less nominal.
+    pub mean: f64,
+    pub sigma: f64,
+    /// Square of the way from its mean to where it is held; 0 where it is not.
+    pub away_squared: f64,
+    /// Its part of the covariance.
+    pub covariance: DMatrix<f64>,
+}
+
+/// See [`PosteriorInputs`].
+pub(crate) fn posterior(
+    likelihood: &Likelihood,
     prior_normal: &DMatrix<f64>,
-    offsets: &DVector<f64>,
     priors: &Priors,
-    held: Option<(usize, f64)>,
+    ruler: Option<usize>,
+    held: bool,
 ) -> Option<Posterior> {
+    let Likelihood { normal, gradient, offsets } = likelihood;
     let count = offsets.len();
-    let kept: Vec<usize> = (0..count).filter(|&k| held.is_none_or(|(at, _)| at != k)).collect();
-    let data = normal.select_rows(&kept).select_columns(&kept);
-    let prior = prior_normal.select_rows(&kept).select_columns(&kept);
-    let at_optimum = offsets.select_rows(&kept);
-    // Where the likelihood alone would have the optimum: `data * center = right`.
-    let right = (&data + &prior) * &at_optimum;
+    // Where the likelihood alone would have the optimum: `normal * center = right`.
+    let right = normal * offsets + gradient;
+    let weight = |sigma: Option<f64>| sigma.map_or(0.0, |sigma| sigma.powi(-2));
     let mut nodes = Vec::new();
     for (angles, lengths) in grid(priors) {
         let mut these = priors.clone();
@@ -45,14 +95,8 @@ pub(super) fn posterior(
             log_weight -= 0.5 * ((sigma / group.median()).ln() / LOG_SPREAD).powi(2);
             log_weight -= members.len() as f64 * sigma.ln();
         }
-        let change = DVector::from_iterator(
-            kept.len(),
-            kept.iter().map(|&k| {
-                let weight = |sigma: Option<f64>| sigma.map_or(0.0, |sigma| sigma.powi(-2));
-                weight(these.sigmas[k]) - weight(priors.sigmas[k])
-            }),
-        );
-        let precision = &data + &prior + DMatrix::from_diagonal(&change);
+        let change = DVector::from_fn(count, |k, _| weight(these.sigmas[k]) - weight(priors.sigmas[k]));
+        let precision = normal + prior_normal + DMatrix::from_diagonal(&change);
         let Some(covariance) = inverse(&precision) else { continue };
         let Some(factor) = precision.cholesky() else { continue };
         let log_determinant = 2.0 * factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
@@ -65,34 +109,34 @@ pub(super) fn posterior(
     if !(total > 0.0 && total.is_finite()) {
         return None;
     }
-    let mut mixed = DMatrix::zeros(kept.len(), kept.len());
-    for (log_weight, mean, covariance) in &nodes {
-        // About what is reported, which is the optimum of the likeliest sigmas.
-        let away = mean - &at_optimum;
-        mixed += (covariance + &away * away.transpose()) * ((log_weight - greatest).exp() / total);
-    }
-    let mut whole = DMatrix::zeros(count, count);
-    let scatter = |whole: &mut DMatrix<f64>, part: &DMatrix<f64>| {
-        for (i, &row) in kept.iter().enumerate() {
-            for (j, &column) in kept.iter().enumerate() {
-                whole[(row, column)] = part[(i, j)];
-            }
+    let share = |log_weight: f64| (log_weight - greatest).exp() / total;
+    let mean = nodes.iter().map(|(w, mean, _)| mean * share(*w)).sum::<DVector<f64>>();
+    let about = |center: &DVector<f64>| {
+        let mut moments = DMatrix::zeros(count, count);
+        for (log_weight, mean, covariance) in &nodes {
+            let away = mean - center;
+            moments += (covariance + &away * away.transpose()) * share(*log_weight);
         }
+        moments
     };
-    scatter(&mut whole, &mixed);
-    let considered = held.map(|(at, sigma)| {
-        // x = x_hat - A^-1 A_xp (p - p_0).
-        let nearest = inverse(&(&data + &prior)).unwrap_or_else(|| mixed.clone());
-        let gain = nearest * normal.column(at).select_rows(&kept);
-        let mut direction = DVector::zeros(count);
-        kept.iter().zip(gain.iter()).for_each(|(&k, value)| direction[k] = -value);
-        direction[at] = 1.0;
-        &direction * direction.transpose() * (sigma * sigma)
-    });
-    if let Some(considered) = &considered {
-        whole += considered;
-    }
-    Some(Posterior { covariance: whole, considered })
+    let own = about(&mean);
+    let covariance = about(offsets);
+    let Some(at) = ruler else { return Some(Posterior { covariance, own, ruler: None }) };
+    let variance = own[(at, at)];
+    // What the other parameters do where the standard of length is off: the regression on it.
+    let direction = own.column(at) / variance;
+    let away = if held { mean[at] - offsets[at] } else { 0.0 };
+    let moved = variance + away * away;
+    Some(Posterior {
+        covariance,
+        ruler: Some(RulerPosterior {
+            mean: mean[at],
+            sigma: variance.sqrt(),
+            away_squared: away * away,
+            covariance: &direction * direction.transpose() * moved,
+        }),
+        own,
+    })
 }
 
 /// Sigmas of the two groups to be tried; `None` for a group that is not estimated.

@@ -1,10 +1,10 @@
 //! The estimator from start to result: start pairwise, screen for outlier postures, adjust everything, estimate the noise, conclude.
 
-use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::adjust::{Adjustment, marginal_equations, posed_state};
 use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::outliers::{judged, outlier_postures};
-use crate::bundle::posterior::posterior;
+use crate::bundle::posterior::{Likelihood, PosteriorInputs, RulerPosterior};
 use crate::bundle::random_effects::{PostureErrorModel, likeliest_groups};
 use crate::bundle::residuals::ResidualSize;
 use crate::bundle::start::{start, triangulate_all};
@@ -16,8 +16,7 @@ use crate::robust::median;
 use crate::uncertainty::{covariance, describe};
 use crate::{
     BundleOptions, Calibration, CalibrationError, Correspondences, Loss, Model, Noise, Parameter, PostureErrorKnowledge,
-    PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning, default_sigma, free,
-    stated_sigma,
+    PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning, free,
 };
 use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
@@ -83,6 +82,7 @@ pub(crate) fn compare(
         parameters: &[],
         errors: &errors,
         options: &options,
+        ruler: None,
         held: None,
         spent: Cell::new(0),
     };
@@ -107,14 +107,15 @@ pub fn calibrate_bundle(
     }
     let errors = PostureErrorModel::new(nominal, &motion, options, &mut warnings);
     let ruler = free::ruler(nominal, &options.free, &parameters, motion.has_joints());
-    let held = ruler.filter(|_| options.ruler == RulerPolicy::Considered);
+    let ruler = ruler.and_then(|ruler| parameters.iter().position(|parameter| *parameter == ruler));
     let adjuster = BundleAdjuster {
         nominal,
         motion: &motion,
         parameters: &parameters,
         errors: &errors,
         options,
-        held: held.and_then(|held| parameters.iter().position(|parameter| *parameter == held)),
+        ruler,
+        held: ruler.filter(|_| options.ruler == RulerPolicy::Considered),
         spent: Cell::new(0),
     };
     let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
@@ -122,7 +123,21 @@ pub fn calibrate_bundle(
     let noise = NoiseScales { pixel, depth: FIRST_DEPTH, posture: errors.first };
     let screened = adjuster.screen(data, &start, noise, priors, all)?;
     let (adjusted, fits) = adjuster.without_outliers(data, screened, &mut warnings)?;
-    adjuster.conclude(data, adjusted, fits, ruler, warnings)
+    let known = adjuster.known(&adjusted)?;
+    match known.contradicted_ruler() {
+        Some((mean, sigma)) if adjuster.held.is_some() => {
+            // The arm's lengths and the standard of length cannot both be right: their tolerances decide.
+            let weighing = BundleAdjuster { held: None, ..adjuster };
+            let observations = adjusted.observations.clone();
+            let adjusted = weighing.again(&adjusted, observations)?;
+            let known = weighing.known(&adjusted)?;
+            if let Some(at) = ruler {
+                warnings.push(Warning::RulerContradicted { parameter: parameters[at], mean, sigma });
+            }
+            weighing.conclude(data, adjusted, known, fits, warnings)
+        }
+        _ => adjuster.conclude(data, adjusted, known, fits, warnings),
+    }
 }
 
 /// What is free, if the observations are enough for it.
@@ -158,7 +173,9 @@ pub(super) struct BundleAdjuster<'a> {
     pub parameters: &'a [Parameter],
     pub errors: &'a PostureErrorModel,
     pub options: &'a BundleOptions,
-    /// A parameter that is held and considered in the covariance.
+    /// Position of the standard of length, whose own error no residual shows.
+    pub ruler: Option<usize>,
+    /// Its position where it is held.
     pub held: Option<usize>,
     /// Iterations of all adjustments so far on data that are not exact.
     pub spent: Cell<usize>,
@@ -444,23 +461,10 @@ impl BundleAdjuster<'_> {
         }
         let mut next_priors = priors.clone();
         if !rough && PriorGroup::ALL.iter().any(|&group| priors.group_sigma(group).is_some()) {
-            let normal = self.data_normal(adjustment, state, 1.0)?;
-            let offsets = DVector::from_vec(Priors::offsets(self.nominal, &state.model, self.parameters));
+            let Likelihood { normal, offsets, .. } = self.likelihood(adjustment, state, 1.0)?;
             next_priors = likeliest_groups(&self.without_held(normal), &offsets, priors);
         }
         Ok(Reestimated { noise: next, priors: next_priors, corner_factor })
-    }
-
-    /// Normal matrix of the data by the parameters, board and posture errors eliminated; `wider`: a factor on the sigmas of the posture errors.
-    fn data_normal(
-        &self,
-        adjustment: &Adjustment<'_>,
-        state: &State,
-        wider: f64,
-    ) -> Result<DMatrix<f64>, CalibrationError> {
-        let PostureErrorSigmas { angular, linear } = adjustment.noise.posture;
-        let sigmas = PostureErrorSigmas { angular: angular * wider, linear: linear * wider };
-        Ok(marginal(&adjustment.normal_matrix(state, &sigmas)?, self.parameters.len()))
     }
 
     /// A normal matrix in which the held parameter is known.
@@ -479,35 +483,65 @@ impl BundleAdjuster<'_> {
         Ok(self.posture_error_estimate(&adjustment, state)?.map_or_else(Vec::new, |estimate| estimate.far_off))
     }
 
+    /// The likelihood of the parameters about an optimum, board and posture errors eliminated; `wider`: a factor on the sigmas of the posture errors.
+    fn likelihood(
+        &self,
+        adjustment: &Adjustment<'_>,
+        state: &State,
+        wider: f64,
+    ) -> Result<Likelihood, CalibrationError> {
+        let PostureErrorSigmas { angular, linear } = adjustment.noise.posture;
+        let sigmas = PostureErrorSigmas { angular: angular * wider, linear: linear * wider };
+        let (normal, gradient) = adjustment.normal_equations(state, &sigmas)?;
+        let count = self.parameters.len();
+        let (normal, gradient) = marginal_equations(&normal, &gradient, count);
+        let offsets = DVector::from_vec(Priors::offsets(self.nominal, &state.model, self.parameters));
+        Ok(Likelihood { normal, gradient, offsets })
+    }
+
+    fn known(&self, adjusted: &Adjusted) -> Result<Known, CalibrationError> {
+        let Adjusted { state, noise, priors, observations, balance, .. } = adjusted;
+        let adjustment = self.adjustment(observations, priors, *noise, self.options.loss, *balance);
+        let likelihood = self.likelihood(&adjustment, state, self.widening(&adjustment, state)?)?;
+        let count = self.parameters.len();
+        let mut prior_normal = DMatrix::zeros(count, count);
+        priors.add_to(self.nominal, &state.model, self.parameters, &mut prior_normal, &mut DVector::zeros(count));
+        let inputs = PosteriorInputs {
+            likelihood,
+            prior_normal,
+            priors: priors.clone(),
+            ruler: self.ruler,
+            held: self.held.is_some(),
+        };
+        let (covariance, ruler) = match inputs.posterior() {
+            Some(known) => (known.covariance, known.ruler),
+            None => (covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), self.parameters), None),
+        };
+        let errors = self.posture_error_knowledge(&adjustment, state)?;
+        Ok(Known { inputs, covariance, ruler, errors })
+    }
+
     fn conclude(
         &self,
         data: &Correspondences,
         adjusted: Adjusted,
+        known: Known,
         fits: Vec<PostureFit>,
-        ruler: Option<Parameter>,
         mut warnings: Vec<Warning>,
     ) -> Result<Calibration, CalibrationError> {
-        let Adjusted { state, noise, priors, observations, sizes, balance, termination } = adjusted;
+        let Adjusted { state, noise, priors, observations, sizes, termination, .. } = adjusted;
         if !termination.reason.is_converged() {
             warnings.push(Warning::NotConverged { reason: termination.reason.to_string() });
         }
-        let adjustment = self.adjustment(&observations, &priors, noise, self.options.loss, balance);
-        let normal = self.data_normal(&adjustment, &state, self.widening(&adjustment, &state)?)?;
-        let offsets = DVector::from_vec(Priors::offsets(self.nominal, &state.model, self.parameters));
-        let mut prior_normal = DMatrix::zeros(offsets.len(), offsets.len());
-        let mut ignored = DVector::zeros(offsets.len());
-        priors.add_to(self.nominal, &state.model, self.parameters, &mut prior_normal, &mut ignored);
-        let sigma_of = |parameter| {
-            stated_sigma(self.nominal, parameter).unwrap_or_else(|| default_sigma(self.nominal, parameter))
-        };
-        let held = self.held.map(|at| (at, sigma_of(self.parameters[at])));
-        let known = posterior(&normal, &prior_normal, &offsets, &priors, held);
-        let (total, considered) = match known {
-            Some(known) => (known.covariance, known.considered),
-            None => (covariance(&(&normal + &prior_normal), self.parameters), None),
-        };
-        let (identifiability, estimates) =
-            describe(self.nominal, &state.model, &data.postures, self.parameters, &priors, &normal, &total);
+        let (identifiability, estimates) = describe(
+            self.nominal,
+            &state.model,
+            &data.postures,
+            self.parameters,
+            &priors,
+            &known.inputs.likelihood.normal,
+            &known.covariance,
+        );
         let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
         let outlier_fraction = outliers as f64 / sizes.len().max(1) as f64;
         if outlier_fraction > 0.5 {
@@ -516,14 +550,14 @@ impl BundleAdjuster<'_> {
         if noise.pixel > LARGE_SIGMA {
             warnings.push(Warning::LargeResiduals { sigma: noise.pixel });
         }
-        warnings.extend(beyond_prior(&estimates, &priors, &total));
+        warnings.extend(beyond_prior(&estimates, &priors, &known.covariance));
         let nominal_model = Model::new(self.nominal.clone());
         let before = self.evaluate(&nominal_model, &[], &observations, noise, Some(&state))?;
         let components = self.errors.kinds.len();
-        let knowledge = self.posture_error_knowledge(&adjustment, &state)?;
         Ok(Calibration {
             parameters: estimates,
-            covariance: Some(total),
+            covariance: Some(known.covariance),
+            posterior: Some(known.inputs),
             identifiability: Some(identifiability),
             epipolar_before: epipolar_statistics(&nominal_model, data)?,
             epipolar_after: epipolar_statistics(&state.model, data)?,
@@ -536,14 +570,21 @@ impl BundleAdjuster<'_> {
                 posture_linear: self.errors.kinds.contains(&crate::ErrorKind::Linear).then_some(noise.posture.linear),
                 outlier_fraction,
             },
-            ruler: ruler.map(|parameter| Ruler { parameter, sigma: sigma_of(parameter), covariance: considered }),
+            ruler: self.ruler.zip(known.ruler).map(|(at, ruler)| Ruler {
+                parameter: self.parameters[at],
+                prior_sigma: priors.sigmas[at].unwrap_or(f64::INFINITY),
+                mean: ruler.mean,
+                sigma: ruler.sigma,
+                held: self.held.is_some(),
+                covariance: ruler.covariance,
+            }),
             prior_scales: PriorGroup::ALL
                 .into_iter()
                 .filter_map(|group| Some(PriorScale { group, sigma: priors.group_sigma(group)? }))
                 .collect(),
             postures: fits,
             posture_errors: state.posture_errors.chunks(components.max(1)).map(<[f64]>::to_vec).collect(),
-            posture_error_knowledge: knowledge,
+            posture_error_knowledge: known.errors,
             termination,
             warnings,
             model: state.model,
@@ -583,6 +624,24 @@ impl BundleAdjuster<'_> {
             covariance: covariance.view((first, first), (count, count)).into_owned(),
             sigmas: (0..count).map(&sigma).collect(),
         }))
+    }
+}
+
+/// What is known at an optimum.
+struct Known {
+    inputs: PosteriorInputs,
+    covariance: DMatrix<f64>,
+    ruler: Option<RulerPosterior>,
+    errors: Option<PostureErrorKnowledge>,
+}
+
+/// Lengths and the standard of length contradict each other when this many sigmas lie between them.
+const CONTRADICTION_SIGMAS: f64 = 3.0;
+
+impl Known {
+    fn contradicted_ruler(&self) -> Option<(f64, f64)> {
+        let ruler = self.ruler.as_ref()?;
+        (ruler.mean.abs() > CONTRADICTION_SIGMAS * ruler.sigma).then_some((ruler.mean, ruler.sigma))
     }
 }
 

@@ -5,8 +5,8 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, Calibration, CalibrationError, Correspondences, CrossValidation, Fold, Free, MountComponent, Parameter,
-    PostureErrorPolicy, Rigs, cross_validate, held_out_groups, jackknife_ratio,
+    BundleOptions, Calibration, CalibrationError, Correspondences, CrossValidation, Fold, Free, Jackknife, MountComponent, Parameter,
+    PostureErrorPolicy, Rigs, cross_validate, held_out_groups, jackknife,
 };
 use skclam_rig::Posture;
 
@@ -46,9 +46,8 @@ pub struct HeldOutSummary {
     pub folds: Vec<FoldSummary>,
     /// Folds in which the calibrated rig is better than the nominal one.
     pub better_folds: usize,
-    /// Variance of the camera's position as the scatter of the folds' fits has it (delete-a-group jackknife), over the one that the model of the noise claims; `null`
-    /// where there is no covariance. Above 1, the reported covariance was widened by it.
-    pub jackknife_ratio: Option<f64>,
+    /// What the scatter of the folds' fits says of the covariance, which was widened by it; `null` where there is no covariance.
+    pub jackknife: Option<Jackknife>,
 }
 
 impl HeldOutSummary {
@@ -62,7 +61,7 @@ impl HeldOutSummary {
         self.metric_px.mount_only.map(|mount_only| self.metric_px.calibrated < mount_only)
     }
 
-    fn of(validation: &CrossValidation, dataset: &Dataset, jackknife_ratio: Option<f64>) -> Self {
+    fn of(validation: &CrossValidation, dataset: &Dataset, jackknife: Option<Jackknife>) -> Self {
         let reprojection = |fold: &Fold| fold.comparison.reprojection.calibrated.observations > 0;
         let metric =
             if validation.folds.iter().any(reprojection) { "reprojection, RMS" } else { "epipolar distance, median" };
@@ -75,7 +74,7 @@ impl HeldOutSummary {
             metric_px: validation.metric_px,
             folds: folds.collect(),
             better_folds: validation.better_folds,
-            jackknife_ratio,
+            jackknife,
         }
     }
 }
@@ -114,12 +113,12 @@ pub fn hold_out(
         Ok(validation) => {
             // The folds were fitted to a part of the observations: their scatter belongs beside what the same part claims.
             let same = if thin == *data { Ok(whole.clone()) } else { all(&thin) };
-            let ratio = match same {
-                Ok(same) => jackknife_ratio(&dataset.rig, &same, &validation.folds, &postures)?,
+            let scatter = match same {
+                Ok(same) => jackknife(&dataset.rig, &same, &validation.folds, &postures)?,
                 Err(CalibrationError::Interrupted) => return Err(RunError::Interrupted),
                 Err(_) => None,
             };
-            Ok(Ok(HeldOutSummary::of(&validation, dataset, ratio)))
+            Ok(Ok(HeldOutSummary::of(&validation, dataset, scatter)))
         }
         Err(CalibrationError::Interrupted) => Err(RunError::Interrupted),
         // The whole recording was enough, a part of it was not: no reason to lose the calibration.

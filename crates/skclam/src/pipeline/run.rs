@@ -124,8 +124,8 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         told.push(format!("the calibration was not judged on held-out postures: {reason}"));
     }
     let held_out = held_out.ok();
-    if let Some(ratio) = held_out.as_ref().and_then(|held_out| held_out.jackknife_ratio) {
-        calibration.widen(ratio);
+    if let Some(jackknife) = held_out.as_ref().and_then(|held_out| held_out.jackknife) {
+        calibration.widen(jackknife.variance_factor);
     }
     let pose_sigmas = pose_sigmas(dataset, &calibration)?;
     let [recorded_poses, workspace_poses] =
