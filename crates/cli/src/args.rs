@@ -49,11 +49,13 @@ pub enum Command {
     Map(MapArgs),
     /// Compare a rig with a known true one: errors of parameters and poses.
     Evaluate(EvaluateArgs),
-    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig.
+    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a tracker.
     #[command(
-        after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n\n\
+        after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n  \
+                            skclam validate --points tracker.csv --rig result/ --nominal cell/rig.toml\n\n\
                             With --refit, these parameters of both rigs are fitted to the recording first, and nothing else:\n\
-                            mount, after the camera was taken off and put back."
+                            mount, after the camera was taken off and put back. With --points, the marker's place on the flange and the\n\
+                            instrument's frame are fitted to each rig, and nothing else; without DATASET no image is needed."
     )]
     Validate(ValidateArgs),
     /// Render a data set in the virtual cell: images, depth, postures, nominal and true rig.
@@ -226,18 +228,37 @@ pub struct EvaluateArgs {
     pub surface: Option<PathBuf>,
 }
 
+/// From which status on `validate` fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FailOnArg {
+    /// Not distinguishable, or worse.
+    Caution,
+    /// Worse.
+    Bad,
+}
+
 /// Arguments of `validate`.
 #[derive(Debug, Args)]
 pub struct ValidateArgs {
-    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/.
-    #[arg(value_hint = ValueHint::DirPath)]
-    pub dataset: PathBuf,
+    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/; may be left out with --points.
+    #[arg(value_hint = ValueHint::DirPath, required_unless_present = "points")]
+    pub dataset: Option<PathBuf>,
     /// The rig under test: a rig file or a result folder.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath)]
     pub rig: PathBuf,
     /// Parameters to fit anew on this recording, such as "mount" or "mount,depth_offset".
-    #[arg(long, value_name = "SET")]
+    #[arg(long, value_name = "SET", requires = "dataset")]
     pub refit: Option<String>,
+    /// Positions of a marker on the flange by an optical or laser tracker: CSV with q1_deg ..., x_mm, y_mm, z_mm and, better, group.
+    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath)]
+    pub points: Option<PathBuf>,
+    /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
+    pub nominal: Option<PathBuf>,
+    /// Exit with 1 where --points find the rig's status to be this or worse: bad is worse than the rig to compare with by more
+    /// than two standard errors, caution not distinguishable from it.
+    #[arg(long, value_enum, value_name = "STATUS", requires = "points")]
+    pub fail_on: Option<FailOnArg>,
     /// Seed of every random choice.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
