@@ -7,6 +7,8 @@ use std::path::Path;
 
 /// The most points that are read.
 const MAX_POINTS: usize = 1_000_000;
+/// The most markers on one flange; a column of numbers read as names would have as many as points.
+const MAX_MARKERS: usize = 20;
 /// Instruments measure nearer than this, metres.
 const MAX_POSITION_M: f64 = 1e6;
 /// Joint values are smaller, radians or metres.
@@ -172,6 +174,11 @@ impl Row<'_> {
             markers.push(marker.to_owned());
             markers.len() - 1
         });
+        if markers.len() > MAX_MARKERS {
+            return Err(
+                self.error(format!("more than {MAX_MARKERS} markers; the column names which of few on the flange"))
+            );
+        }
         let joints = columns.joints.iter().map(|&(column, unit)| self.scaled(column, unit, MAX_JOINT_VALUE));
         let sigma = columns.sigma.map(|sigma| self.lengths(sigma)).transpose()?;
         if sigma.is_some_and(|sigma| sigma.iter().any(|&value| value <= 0.0)) {
@@ -264,6 +271,9 @@ mod tests {
             let got = read_text(&text).map(|_| ()).unwrap_err().to_string();
             assert!(got.contains("points.csv") && got.contains(expected), "{got} lacks {expected}");
         }
+        let many: String = (0..30).map(|at| format!("m{at},1,2,3,4\n")).collect();
+        let got = read_text(&format!("marker,q1_rad,x_mm,y_mm,z_mm\n{many}")).unwrap_err().to_string();
+        assert!(got.contains("line 22: more than 20 markers"), "{got}");
         let missing = MarkerPoints::read("nowhere/points.csv").unwrap_err().to_string();
         assert!(missing.contains("nowhere/points.csv"), "{missing}");
     }
