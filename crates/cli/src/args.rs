@@ -5,6 +5,7 @@ use crate::commands::export::ExportArgs;
 use crate::commands::import::ImportArgs;
 use crate::commands::inspect::InspectArgs;
 use crate::commands::report::{CompareArgs, ReportArgs};
+use crate::commands::validate::ValidateArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use std::path::PathBuf;
 
@@ -226,42 +227,6 @@ pub struct EvaluateArgs {
     /// The true surface (PLY, base frame): the result's mesh.ply or map.ply is compared with it.
     #[arg(long, value_name = "PLY", value_hint = ValueHint::FilePath)]
     pub surface: Option<PathBuf>,
-}
-
-/// From which status on `validate` fails.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum FailOnArg {
-    /// Not distinguishable, or worse.
-    Caution,
-    /// Worse.
-    Bad,
-}
-
-/// Arguments of `validate`.
-#[derive(Debug, Args)]
-pub struct ValidateArgs {
-    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/; may be left out with --points.
-    #[arg(value_hint = ValueHint::DirPath, required_unless_present = "points")]
-    pub dataset: Option<PathBuf>,
-    /// The rig under test: a rig file or a result folder.
-    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath)]
-    pub rig: PathBuf,
-    /// Parameters to fit anew on this recording, such as "mount" or "mount,depth_offset".
-    #[arg(long, value_name = "SET", requires = "dataset")]
-    pub refit: Option<String>,
-    /// Positions of a marker on the flange by an optical or laser tracker: CSV with q1_deg ..., x_mm, y_mm, z_mm and, better, group.
-    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath)]
-    pub points: Option<PathBuf>,
-    /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
-    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
-    pub nominal: Option<PathBuf>,
-    /// Exit with 1 where --points find the rig's status to be this or worse: bad is worse than the rig to compare with by more
-    /// than two standard errors, caution not distinguishable from it.
-    #[arg(long, value_enum, value_name = "STATUS", requires = "points")]
-    pub fail_on: Option<FailOnArg>,
-    /// Seed of every random choice.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
 }
 
 /// Image noise of a simulation.

@@ -1,17 +1,55 @@
 //! `skclam validate`.
 
 use super::validate_points;
-use crate::args::{Cli, FailOnArg, ValidateArgs};
+use crate::args::Cli;
 use crate::progress::Screen;
 use crate::screen;
 use anyhow::{Result, bail};
+use clap::{Args, ValueEnum, ValueHint};
 use serde::Serialize;
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::marker_points::{MarkerPoints, PointsValidation, validate_points};
 use skclam::pipeline::{self, Config, Validation, VerdictGrade};
 use skclam::rig::Rig;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// From which status on `validate` fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FailOnArg {
+    /// Not distinguishable, or worse.
+    Caution,
+    /// Worse.
+    Bad,
+}
+
+/// Arguments of `validate`.
+#[derive(Debug, Args)]
+pub struct ValidateArgs {
+    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/; may be left out with --points.
+    #[arg(value_hint = ValueHint::DirPath, required_unless_present = "points")]
+    pub dataset: Option<PathBuf>,
+    /// The rig under test: a rig file or a result folder.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath)]
+    pub rig: PathBuf,
+    /// Parameters to fit anew on this recording, such as "mount" or "mount,depth_offset".
+    #[arg(long, value_name = "SET", requires = "dataset")]
+    pub refit: Option<String>,
+    /// Positions of a marker on the flange by an optical or laser tracker: CSV with q1_deg ..., x_mm, y_mm, z_mm and,
+    /// better, group.
+    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath)]
+    pub points: Option<PathBuf>,
+    /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
+    pub nominal: Option<PathBuf>,
+    /// Exit with 1 where --points find the rig's status to be this or worse: bad is worse than the rig to compare with
+    /// by more than two standard errors, caution not distinguishable from it.
+    #[arg(long, value_enum, value_name = "STATUS", requires = "points")]
+    pub fail_on: Option<FailOnArg>,
+    /// Seed of every random choice.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
 
 /// What `--json` prints: the validation by images as ever, and beside it the one by points.
 #[derive(Serialize)]
@@ -29,6 +67,9 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
     // First, since it takes no time: what is wrong with the points is said before the images are looked at.
     let points = args.points.as_deref().map(|path| by_points(path, args, &rig, dataset.as_ref())).transpose()?;
     let images = dataset.map(|dataset| by_images(cli, args, &rig, &dataset)).transpose()?;
+    if let Some(points) = &points {
+        screen::warn_of(cli.quiet, &validate_points::warnings(points), "--json");
+    }
     if cli.json {
         let printed = Printed { images: images.as_ref(), points: points.as_ref() };
         println!("{}", serde_json::to_string_pretty(&printed)?);
@@ -36,11 +77,7 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
         images.iter().for_each(show);
         points.iter().for_each(validate_points::show);
     }
-    if let Some(points) = &points {
-        screen::warn_of(cli.quiet, &validate_points::warnings(points), "--json");
-        fail_on(args.fail_on, points)?;
-    }
-    Ok(())
+    points.iter().try_for_each(|points| fail_on(args.fail_on, points))
 }
 
 /// A rig's file, or the one in a result folder or data set.

@@ -44,17 +44,20 @@ pub fn sentence(validation: &PointsValidation) -> String {
     let rms_mm = validation.tested.rms_mm;
     let (Some(nominal), Some(comparison)) = (&validation.nominal, validation.comparison) else {
         return format!(
-            "The measured points lie {rms_mm:.3} mm (RMS) from where the rig puts them; there is no nominal rig beside it."
+            "The measured points lie {rms_mm:.3} mm (RMS) from where the rig puts them; \
+             there is no nominal rig beside it."
         );
     };
     let Some(error) = comparison.standard_error_mm else {
         return format!(
-            "Too few groups of points ({}) to tell the rig from the nominal one: {rms_mm:.3} mm (RMS), the nominal rig {:.3} mm.",
+            "Too few groups of points ({}) to tell the rig from the nominal one: {rms_mm:.3} mm (RMS), \
+             the nominal rig {:.3} mm.",
             validation.clusters, nominal.rms_mm
         );
     };
     let metrics = format!(
-        "{rms_mm:.3} mm (RMS), the nominal rig {:.3} mm, difference {:.3} mm with a standard error of {error:.3} mm over {} groups",
+        "{rms_mm:.3} mm (RMS), the nominal rig {:.3} mm, difference {:.3} mm \
+         with a standard error of {error:.3} mm over {} groups",
         nominal.rms_mm, comparison.improvement_mm, validation.clusters
     );
     match comparison.status {
@@ -112,7 +115,8 @@ pub fn warnings(validation: &PointsValidation) -> Vec<String> {
     for open in &tested.unobservable {
         let [x, y, z] = open.direction;
         warnings.push(format!(
-            "the place of {} along [{x:.2}, {y:.2}, {z:.2}] of the flange is not observable and held at zero: the flange was not turned enough",
+            "the place of {} along [{x:.2}, {y:.2}, {z:.2}] of the flange is not observable and held at zero: \
+             the flange was not turned enough",
             open.marker
         ));
     }
@@ -174,7 +178,10 @@ mod tests {
     fn good() {
         let said = sentence(&validation(Some((0.391, Some(0.05), VerdictGrade::Good))));
         assert!(said.starts_with("The rig is better"), "{said}");
-        assert!(said.contains("0.350 mm (RMS), the nominal rig 0.741 mm, difference 0.391 mm with a standard error of 0.050 mm over 6 groups"));
+        assert!(said.contains(
+            "0.350 mm (RMS), the nominal rig 0.741 mm, difference 0.391 mm \
+             with a standard error of 0.050 mm over 6 groups"
+        ));
     }
 
     #[test]
@@ -210,18 +217,18 @@ mod tests {
         found.tested.contradicted = vec![outlier(40)];
         found.tested.unobservable =
             vec![UnobservableOffset { marker: "ball".into(), direction: [0.0, 0.0, 1.0], sensitivity: 0.001 }];
-        let told = warnings(&found).join("\n");
+        let said = warnings(&found).join("\n");
         for expected in [
             "left out: line 2, index 0 (12.3 mm)",
             "and 2 more",
             "under test alone; they count: line 40",
             "ball along [0.00, 0.00, 1.00]",
         ] {
-            assert!(told.contains(expected), "{told} lacks {expected}");
+            assert!(said.contains(expected), "{said} lacks {expected}");
         }
         found.outliers = (2..40).map(outlier).collect();
         found.tested.rms_mm = 300.0;
-        let told = warnings(&found).join("\n");
-        assert!(told.contains("38 of 120 points") && told.contains("300 mm (RMS)"), "{told}");
+        let said = warnings(&found).join("\n");
+        assert!(said.contains("38 of 120 points") && said.contains("300 mm (RMS)"), "{said}");
     }
 }

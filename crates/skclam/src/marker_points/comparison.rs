@@ -1,4 +1,5 @@
-//! Two rigs on the same points: the difference of their RMS, and its standard error by the jackknife over clusters of points.
+//! Two rigs on the same points: the difference of their RMS, and its standard error by the jackknife over clusters of
+//! points.
 
 use super::solve::{Observation, State};
 use super::{ClusteredBy, Fitted, GroupErrors, MarkerPoint, MarkerPoints, PointsComparison, RobustFit, rms, robust};

@@ -1,9 +1,10 @@
 //! A rig judged by positions of a marker on the flange that an external instrument (optical or laser tracker) measured.
 //!
-//! Begin with [`validate_points`]. Neither the marker's place on the flange nor the instrument's frame is known: both are fitted to
-//! each rig, so that only what the kinematics explain counts. What remains is the rig's error of position where the points lie, with the
-//! instrument's noise. Against the nominal rig the test is paired, point by point, with a standard error over clusters of points: the
-//! errors of points at one arm position are alike, so that they count as one.
+//! Begin with [`validate_points`]. Neither the marker's place on the flange nor the instrument's frame is known: both
+//! are fitted to each rig, so that only what the kinematics explain counts. What remains is the rig's error of position
+//! where the points lie, with the instrument's noise. Against the nominal rig the test is paired, point by point, with
+//! a standard error over clusters of points: the errors of points at one arm position are alike, so that they count as
+//! one.
 
 mod comparison;
 mod observability;
@@ -55,8 +56,9 @@ pub struct MarkerPoints {
 }
 
 impl MarkerPoints {
-    /// Reads a table (CSV). Columns are found by name: joints as in `postures.csv` (`q1_deg`, `q1_rad`, `qk_mm`), `x_mm`, `y_mm`, `z_mm` (or
-    /// `_m`), optional `index`, `group`, `marker`, `timestamp_s` (ignored: the arm is at rest) and `sigma_mm` or `sigma_x_mm` and so on.
+    /// Reads a table (CSV). Columns are found by name: joints as in `postures.csv` (`q1_deg`, `q1_rad`, `qk_mm`),
+    /// `x_mm`, `y_mm`, `z_mm` (or `_m`), optional `index`, `group`, `marker`, `timestamp_s` (ignored: the arm is at
+    /// rest) and `sigma_mm` or `sigma_x_mm` and so on.
     ///
     /// # Errors
     /// File, line and column of what is wrong, and what was expected.
@@ -181,7 +183,8 @@ pub struct MarkerOffset {
     pub marker: String,
     /// In the flange's frame, millimetres.
     pub offset_mm: [f64; 3],
-    /// Standard deviations if the errors of points were independent, millimetres; `null` where a part of it is not observable.
+    /// Standard deviations if the errors of points were independent, millimetres; `null` where a part of it is not
+    /// observable.
     pub sigma_mm: Option<[f64; 3]>,
 }
 
@@ -209,8 +212,8 @@ pub struct PointsComparison {
 
 /// Judges `tested`, and beside it `nominal`, by measured points.
 ///
-/// A point is left out only where every rig contradicts it grossly (beyond six robust standard deviations), and both rigs are then fitted by
-/// least squares to the same points.
+/// A point is left out only where every rig contradicts it grossly (beyond six robust standard deviations), and both
+/// rigs are then fitted by least squares to the same points.
 ///
 /// # Errors
 /// Too few points; joints that a rig does not have.

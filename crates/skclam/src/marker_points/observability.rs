@@ -1,11 +1,12 @@
-//! Which parts of the offsets the points determine. With all postures in one orientation an offset and the frame's translation
-//! cannot be told apart; with turns about one axis alone, that axis of the offset.
+//! Which parts of the offsets the points determine. With all postures in one orientation an offset and the frame's
+//! translation cannot be told apart; with turns about one axis alone, that axis of the offset.
 
 use super::solve::{FRAME_UNKNOWNS, Observation, Problem, State};
 use nalgebra::{DMatrix, DVector, Vector3};
 
-/// A combination of offsets is not observable where moving it by a length moves the points, after the frame has followed, by less
-/// than this part of the length (RMS). One hundredth is what a spread of half a degree of the flange's orientation gives.
+/// A combination of offsets is not observable where moving it by a length moves the points, after the frame has
+/// followed, by less than this part of the length (RMS). One hundredth is what a spread of half a degree of the
+/// flange's orientation gives.
 pub(super) const MIN_SENSITIVITY: f64 = 1e-2;
 
 /// A unit combination of offsets with its sensitivity: metres at the points a metre of the offset.

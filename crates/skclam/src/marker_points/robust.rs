@@ -1,8 +1,10 @@
-//! The global and robust fit: many starting rotations, a loss that bounds what a wrong point can do, and the points beyond it.
+//! The global and robust fit: many starting rotations, a loss that bounds what a wrong point can do, and the points
+//! beyond it.
 //!
-//! With its rotation given the problem is linear, so only the rotation needs starts: the one that maps flange positions to measured
-//! positions best (Kabsch 1976), turned by each of the 24 rotations of a cube; no rotation is farther than 63 degrees from one of
-//! them. Of the minima, the one with the least trimmed squares counts (Rousseeuw 1984), which half the points may contradict.
+//! With its rotation given the problem is linear, so only the rotation needs starts: the one that maps flange positions
+//! to measured positions best (Kabsch 1976), turned by each of the 24 rotations of a cube; no rotation is farther than
+//! 63 degrees from one of them. Of the minima, the one with the least trimmed squares counts (Rousseeuw 1984), which
+//! half the points may contradict.
 
 use super::observability::unobservable;
 use super::solve::{FRAME_UNKNOWNS, Observation, Problem, State};
@@ -145,8 +147,9 @@ fn scale(observations: &[Observation], used: &[usize], state: &State) -> f64 {
 
 /// Weights by the instrument's standard deviations where there are any, and the residual that has the weight 1, metres.
 ///
-/// A residual's variance is the instrument's at this point and that of the rig's own errors at all of them; the latter is what
-/// `scale_m` leaves after the instrument's median. Without it a rig with errors would be fitted to the best measured points alone.
+/// A residual's variance is the instrument's at this point and that of the rig's own errors at all of them; the latter
+/// is what `scale_m` leaves after the instrument's median. Without it a rig with errors would be fitted to the best
+/// measured points alone.
 fn weights(observations: &[Observation], scale_m: f64) -> (Vec<Vector3<f64>>, f64) {
     let known: Vec<f64> =
         observations.iter().filter_map(|observation| Some(observation.sigma_m?.norm_squared() / 3.0)).collect();
@@ -171,7 +174,8 @@ fn trimmed_squares(observations: &[Observation], used: &[usize], state: &State) 
     squares.iter().sum::<f64>() / squares.len().max(1) as f64
 }
 
-/// The rotation that maps the flange's positions best to the measured ones, as if the marker were at the flange's origin.
+/// The rotation that maps the flange's positions best to the measured ones, as if the marker were at the flange's
+/// origin.
 fn kabsch(observations: &[Observation], used: &[usize]) -> UnitQuaternion<f64> {
     let count = used.len().max(1) as f64;
     let chosen = || used.iter().map(|&at| &observations[at]);

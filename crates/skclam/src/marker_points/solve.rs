@@ -1,8 +1,8 @@
-//! The least-squares problem: a marker at `o` on the flange, measured at `p_i = R (R_i o + t_i) + t`, where `(R_i, t_i)` is
-//! `base_from_flange` of the rig and `(R, t)` the unknown `tracker_from_base`.
+//! The least-squares problem: a marker at `o` on the flange, measured at `p_i = R (R_i o + t_i) + t`, where `(R_i,
+//! t_i)` is `base_from_flange` of the rig and `(R, t)` the unknown `tracker_from_base`.
 //!
-//! Levenberg-Marquardt with the analytic Jacobian `[-[R y_i]x | I | R R_i]` by a rotation vector in the tracker's frame, `t` and
-//! `o`, where `y_i = R_i o + t_i`; every marker has an offset of its own.
+//! Levenberg-Marquardt with the analytic Jacobian `[-[R y_i]x | I | R R_i]` by a rotation vector in the tracker's
+//! frame, `t` and `o`, where `y_i = R_i o + t_i`; every marker has an offset of its own.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, SMatrix, UnitQuaternion, Vector3};
 
@@ -106,10 +106,10 @@ impl Problem<'_> {
             let jacobian = state.jacobian(observation);
             let weighted = SMatrix::<f64, 3, 3>::from_diagonal(&(self.weights[at] * slope)) * jacobian;
             let block = jacobian.transpose() * weighted;
-            let pull = weighted.transpose() * state.residual(observation);
+            let part = weighted.transpose() * state.residual(observation);
             let place = |k: usize| if k < FRAME_UNKNOWNS { k } else { k + 3 * observation.marker };
             for column in 0..9 {
-                gradient[place(column)] += pull[column];
+                gradient[place(column)] += part[column];
                 for row in 0..9 {
                     normal[(place(row), place(column))] += block[(row, column)];
                 }

@@ -238,7 +238,8 @@ mod tests {
 
     #[test]
     fn columns_are_found_by_name_and_units_converted() {
-        let text = "z_m,group,q2_mm,x_mm,q1_deg,y_mm,marker,sigma_mm\n3,left,250,1000,180,-500,ball,0.2\n1,right,0,1,2,3,cone,0.1\n";
+        let text = "z_m,group,q2_mm,x_mm,q1_deg,y_mm,marker,sigma_mm\n\
+                    3,left,250,1000,180,-500,ball,0.2\n1,right,0,1,2,3,cone,0.1\n";
         let points = read_text(text).unwrap();
         assert_eq!((points.markers.clone(), points.grouped), (vec!["ball".to_owned(), "cone".to_owned()], true));
         let first = &points.points[0];

@@ -260,7 +260,8 @@ fn the_true_rig_is_good_a_worse_one_bad_and_the_same_not_distinguishable() {
     assert_eq!((alone.status, alone.standard_error_mm), (VerdictGrade::Caution, None));
 }
 
-/// Over many draws of two rigs that are equally wrong, few are told apart: the standard error is no smaller than the scatter.
+/// Over many draws of two rigs that are equally wrong, few are told apart: the standard error is no smaller than the
+/// scatter.
 #[test]
 fn equally_wrong_rigs_are_seldom_told_apart() {
     let truth = hp3j();
@@ -322,7 +323,8 @@ fn a_real_arm_by_its_nominal_parameters() {
     assert!(found.outliers.is_empty());
     // Least squares leaves 0.729 mm; no other frame and offset leave less.
     assert!((found.tested.rms_mm - 0.729).abs() < 0.001, "{}", found.tested.rms_mm);
-    // An independent prototype minimises a soft L1 loss of each coordinate, 0.5 mm wide, and takes the RMS there: 0.741 mm.
+    // An independent prototype minimises a soft L1 loss of each coordinate, 0.5 mm wide, and takes the RMS there: 0.741
+    // mm.
     let soft = soft_l1_rms_mm(&points, &rig, 5e-4);
     assert!((soft - 0.741).abs() < 0.001, "{soft}");
     let without = MarkerPoints { grouped: false, ..points };
