@@ -121,9 +121,7 @@ pub fn arm_positions(postures: &[Posture]) -> Vec<usize> {
             PostureState::FlangePose(_) => &[],
         };
         let near = |other: &[f64]| {
-            !own.is_empty()
-                && other.len() == own.len()
-                && other.iter().zip(own).all(|(a, b)| (a - b).abs() < ONE_PLACE)
+            !own.is_empty() && other.len() == own.len() && other.iter().zip(own).all(|(a, b)| (a - b).abs() < ONE_PLACE)
         };
         let position = known.iter().find(|(_, other)| near(other)).map(|(position, _)| *position);
         positions.push(position.unwrap_or(next));
@@ -401,10 +399,14 @@ mod tests {
     use crate::synthetic::{
         diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
     };
-    use crate::{BundleOptions, PostureErrorPolicy, Free, MountComponent, Parameter, calibrate_bundle};
+    use crate::{BundleOptions, Free, MountComponent, Parameter, PostureErrorPolicy, calibrate_bundle};
 
     fn estimate(nominal: &Rig, free: Free, data: &Correspondences) -> Result<Calibration, CalibrationError> {
-        calibrate_bundle(nominal, data, &BundleOptions { free, posture_errors: PostureErrorPolicy::Off, ..Default::default() })
+        calibrate_bundle(
+            nominal,
+            data,
+            &BundleOptions { free, posture_errors: PostureErrorPolicy::Off, ..Default::default() },
+        )
     }
 
     #[test]

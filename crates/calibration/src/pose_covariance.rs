@@ -79,7 +79,7 @@ pub(crate) fn spread_to_poses(
 mod tests {
     use super::*;
     use crate::synthetic::{diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record, room, seeded};
-    use crate::{BundleOptions, PostureErrorPolicy, Free, calibrate_bundle};
+    use crate::{BundleOptions, Free, PostureErrorPolicy, calibrate_bundle};
     use nalgebra::DVector;
 
     #[test]

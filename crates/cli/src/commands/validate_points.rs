@@ -11,15 +11,17 @@ const MANY_OUTLIERS: f64 = 0.2;
 /// Outliers that are named one by one.
 const NAMED: usize = 8;
 
+/// A metric of a fit, millimetres.
+type Metric = fn(&PointsFit) -> f64;
+
 /// Sentence, metrics and clusters.
 pub fn show(validation: &PointsValidation) {
     println!("{}\n", sentence(validation));
     let nominal = validation.nominal.as_ref();
     let mut table = screen::table(&["points", "nominal rig", "rig under test", "unit"]);
-    let cell = |fit: Option<&PointsFit>, value: fn(&PointsFit) -> f64| {
-        fit.map_or_else(|| "-".to_owned(), |fit| screen::fixed(value(fit), 3))
-    };
-    let rows: [(&str, fn(&PointsFit) -> f64); 4] = [
+    let cell =
+        |fit: Option<&PointsFit>, value: Metric| fit.map_or_else(|| "-".to_owned(), |fit| screen::fixed(value(fit), 3));
+    let rows: [(&str, Metric); 4] = [
         ("error of position, RMS", |fit| fit.rms_mm),
         ("error of position, median", |fit| fit.median_mm),
         ("error of position, largest", |fit| fit.max_mm),
