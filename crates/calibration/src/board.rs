@@ -5,8 +5,8 @@
 
 use crate::robust::median;
 use crate::{
-    BoardObservation, BundleOptions, CalibrationError, Correspondences, PostureErrorPolicy, Free, Loss, Model,
-    MountComponent, Parameter, PriorPolicy, ReprojectionStatistics, calibrate_bundle, without_postures,
+    BoardObservation, BundleOptions, CalibrationError, Correspondences, Free, Loss, Model, MountComponent, Parameter,
+    PostureErrorPolicy, PriorPolicy, ReprojectionStatistics, calibrate_bundle, without_postures,
 };
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};

@@ -181,7 +181,8 @@ mod tests {
             posture: 1,
             pixel: Pixel::origin(),
             covariance: isotropic_covariance(1.0),
-            depth_m: Some(-1.0), depth_slope: [0.0; 2],
+            depth_m: Some(-1.0),
+            depth_slope: [0.0; 2],
         };
         let track = Track { observations: vec![observation] };
         assert!(message(Correspondences { tracks: vec![track], ..two_postures() }).contains("track 0"));

@@ -121,9 +121,7 @@ pub fn arm_positions(postures: &[Posture]) -> Vec<usize> {
             PostureState::FlangePose(_) => &[],
         };
         let near = |other: &[f64]| {
-            !own.is_empty()
-                && other.len() == own.len()
-                && other.iter().zip(own).all(|(a, b)| (a - b).abs() < ONE_PLACE)
+            !own.is_empty() && other.len() == own.len() && other.iter().zip(own).all(|(a, b)| (a - b).abs() < ONE_PLACE)
         };
         let position = known.iter().find(|(_, other)| near(other)).map(|(position, _)| *position);
         positions.push(position.unwrap_or(next));
@@ -386,7 +384,9 @@ pub fn jackknife(
     }
     let at = |factor: f64| -> Result<f64, CalibrationError> {
         let Some(known) = inputs.tempered(factor).posterior() else { return Ok(f64::INFINITY) };
-        let of_ruler = known.ruler.map(|ruler| ruler.covariance * (ruler.sigma.powi(2) / (ruler.sigma.powi(2) + ruler.away_squared)));
+        let of_ruler = known
+            .ruler
+            .map(|ruler| ruler.covariance * (ruler.sigma.powi(2) / (ruler.sigma.powi(2) + ruler.away_squared)));
         variance(&match of_ruler {
             Some(part) => known.own - part,
             None => known.own,
@@ -429,10 +429,14 @@ mod tests {
     use crate::synthetic::{
         diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
     };
-    use crate::{BundleOptions, PostureErrorPolicy, Free, MountComponent, Parameter, calibrate_bundle};
+    use crate::{BundleOptions, Free, MountComponent, Parameter, PostureErrorPolicy, calibrate_bundle};
 
     fn estimate(nominal: &Rig, free: Free, data: &Correspondences) -> Result<Calibration, CalibrationError> {
-        calibrate_bundle(nominal, data, &BundleOptions { free, posture_errors: PostureErrorPolicy::Off, ..Default::default() })
+        calibrate_bundle(
+            nominal,
+            data,
+            &BundleOptions { free, posture_errors: PostureErrorPolicy::Off, ..Default::default() },
+        )
     }
 
     #[test]

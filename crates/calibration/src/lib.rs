@@ -35,8 +35,8 @@ pub use board::{
     BoardFold, BoardPlace, base_from_board, board_residuals, color_from_board, cross_validate_board, fit_mount_to_board,
 };
 pub use bundle::{
-    BundleOptions, ErrorKind, ExpectationOptions, ExpectedCalibration, PostureErrorPolicy, RulerPolicy, calibrate_bundle,
-    expected_calibration,
+    BundleOptions, ErrorKind, ExpectationOptions, ExpectedCalibration, PostureErrorPolicy, RulerPolicy,
+    calibrate_bundle, expected_calibration,
 };
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,
@@ -46,8 +46,8 @@ pub use error::CalibrationError;
 pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};
 pub use held_out::{
-    Comparison, CrossValidation, Estimate, Fold, Jackknife, Rigs, Trained, arm_positions, compare_models, compare_trained,
-    cross_validate, held_out_groups, jackknife, neighbouring_folds, without_postures,
+    Comparison, CrossValidation, Estimate, Fold, Jackknife, Rigs, Trained, arm_positions, compare_models,
+    compare_trained, cross_validate, held_out_groups, jackknife, neighbouring_folds, without_postures,
 };
 pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
 pub use model::{DepthCorrection, Model};

@@ -134,7 +134,9 @@ impl Parameter {
         match self {
             Parameter::Chain(id) if id.kind.is_angle() => Unit::Radian,
             Parameter::Chain(_) | Parameter::DepthOffset => Unit::Metre,
-            Parameter::Mount(component) | Parameter::DepthExtrinsic(component) if component.is_rotation() => Unit::Radian,
+            Parameter::Mount(component) | Parameter::DepthExtrinsic(component) if component.is_rotation() => {
+                Unit::Radian
+            }
             Parameter::Mount(_) | Parameter::DepthExtrinsic(_) => Unit::Metre,
             Parameter::Intrinsic(Intrinsic::Fx | Intrinsic::Fy | Intrinsic::Cx | Intrinsic::Cy) => Unit::Pixel,
             Parameter::Intrinsic(_) | Parameter::DepthScale | Parameter::BoardScale => Unit::One,

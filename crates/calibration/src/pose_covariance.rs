@@ -108,7 +108,7 @@ pub(crate) fn aligned_position_variance(
 mod tests {
     use super::*;
     use crate::synthetic::{diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record, room, seeded};
-    use crate::{BundleOptions, PostureErrorPolicy, Free, calibrate_bundle};
+    use crate::{BundleOptions, Free, PostureErrorPolicy, calibrate_bundle};
     use nalgebra::DVector;
 
     #[test]

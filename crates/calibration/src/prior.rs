@@ -61,9 +61,7 @@ pub(crate) const LOG_SPREAD: f64 = 1.5;
 /// The sigma of normal numbers of which `determined` are known, with the sum of their squares, under a log-normal prior of its own: the root of
 /// `determined + ln(sigma / median) / LOG_SPREAD^2 = squares / sigma^2`.
 pub(crate) fn likeliest_sigma(squares: f64, determined: f64, median: f64) -> f64 {
-    let slope = |log: f64| {
-        determined + (log - median.ln()) / (LOG_SPREAD * LOG_SPREAD) - squares * (-2.0 * log).exp()
-    };
+    let slope = |log: f64| determined + (log - median.ln()) / (LOG_SPREAD * LOG_SPREAD) - squares * (-2.0 * log).exp();
     // The left side grows with the logarithm everywhere, so that bisection ends at the only root.
     let (mut low, mut high) = (median.ln() - 12.0, median.ln() + 12.0);
     for _ in 0..60 {
@@ -145,7 +143,8 @@ impl Priors {
             PriorPolicy::Auto => free.is_open(),
         };
         let stated = |&parameter: &Parameter| stated_sigma(rig, parameter);
-        let sigma = |parameter: &Parameter| stated(parameter).or_else(|| defaults.then(|| default_sigma(rig, *parameter)));
+        let sigma =
+            |parameter: &Parameter| stated(parameter).or_else(|| defaults.then(|| default_sigma(rig, *parameter)));
         let group = |parameter: &Parameter| match (defaults, stated(parameter)) {
             (true, None) => PriorGroup::of(*parameter),
             _ => None,

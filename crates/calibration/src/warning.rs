@@ -130,7 +130,10 @@ impl fmt::Display for Warning {
                 write!(f, "{observations} observations were dropped because their track names a posture twice")
             }
             Warning::PostureErrorsOff { unknowns, limit } => {
-                write!(f, "the errors of single postures were left at zero: {unknowns} unknowns exceed the limit of {limit}")
+                write!(
+                    f,
+                    "the errors of single postures were left at zero: {unknowns} unknowns exceed the limit of {limit}"
+                )
             }
             Warning::BeyondPrior { parameter, change, prior_sigma } => {
                 let (factor, unit) = parameter.unit().of_files();

@@ -230,7 +230,8 @@ pub fn record(
                 posture,
                 pixel: if wrong { elsewhere } else { noisy },
                 covariance: isotropic_covariance(1.0),
-                depth_m: depth, depth_slope: [0.0; 2],
+                depth_m: depth,
+                depth_slope: [0.0; 2],
             });
         }
         if track.observations.len() >= 2 {

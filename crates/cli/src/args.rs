@@ -5,6 +5,7 @@ use crate::commands::export::ExportArgs;
 use crate::commands::import::ImportArgs;
 use crate::commands::inspect::InspectArgs;
 use crate::commands::report::{CompareArgs, ReportArgs};
+use crate::commands::validate::ValidateArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use std::path::PathBuf;
 
@@ -49,11 +50,13 @@ pub enum Command {
     Map(MapArgs),
     /// Compare a rig with a known true one: errors of parameters and poses.
     Evaluate(EvaluateArgs),
-    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig.
+    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a tracker.
     #[command(
-        after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n\n\
+        after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n  \
+                            skclam validate --points tracker.csv --rig result/ --nominal cell/rig.toml\n\n\
                             With --refit, these parameters of both rigs are fitted to the recording first, and nothing else:\n\
-                            mount, after the camera was taken off and put back."
+                            mount, after the camera was taken off and put back. With --points, the marker's place on the flange and the\n\
+                            instrument's frame are fitted to each rig, and nothing else; without DATASET no image is needed."
     )]
     Validate(ValidateArgs),
     /// Render a data set in the virtual cell: images, depth, postures, nominal and true rig.
@@ -224,23 +227,6 @@ pub struct EvaluateArgs {
     /// The true surface (PLY, base frame): the result's mesh.ply or map.ply is compared with it.
     #[arg(long, value_name = "PLY", value_hint = ValueHint::FilePath)]
     pub surface: Option<PathBuf>,
-}
-
-/// Arguments of `validate`.
-#[derive(Debug, Args)]
-pub struct ValidateArgs {
-    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/.
-    #[arg(value_hint = ValueHint::DirPath)]
-    pub dataset: PathBuf,
-    /// The rig under test: a rig file or a result folder.
-    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath)]
-    pub rig: PathBuf,
-    /// Parameters to fit anew on this recording, such as "mount" or "mount,depth_offset".
-    #[arg(long, value_name = "SET")]
-    pub refit: Option<String>,
-    /// Seed of every random choice.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
 }
 
 /// Image noise of a simulation.

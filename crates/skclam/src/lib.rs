@@ -10,6 +10,7 @@ pub mod evaluation;
 pub mod export;
 pub mod import;
 pub mod inspection;
+pub mod marker_points;
 pub mod output;
 pub mod pipeline;
 pub mod progress;

@@ -2,10 +2,10 @@
 
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
+use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::reduced::{Chunk, corner_cost, follow, reduce, track_chunks, track_cost};
 use crate::bundle::residuals::{ResidualSize, residual_sizes};
 use crate::bundle::start::{place_board, triangulate_all};
-use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
 use crate::levenberg_marquardt::{
@@ -184,8 +184,15 @@ impl Adjustment<'_> {
         let view = state.view(&self.noise, self.loss);
         let columns = unknowns.columns(self.motion, state)?;
         let board = state.placed_board();
-        let (system, _) =
-            reduce(self.observations, &self.chunks(), &view, &state.points, board.as_ref(), unknowns.shared_free(), 0.0);
+        let (system, _) = reduce(
+            self.observations,
+            &self.chunks(),
+            &view,
+            &state.points,
+            board.as_ref(),
+            unknowns.shared_free(),
+            0.0,
+        );
         Ok(unknowns.assemble(&system, &columns).1)
     }
 

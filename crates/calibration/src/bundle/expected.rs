@@ -6,14 +6,14 @@
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
+use crate::bundle::posterior::{Likelihood, posterior};
+use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
 use crate::motion::Motion;
 use crate::pose_covariance::spread_to_poses;
 use crate::prior::Priors;
 use crate::uncertainty::{covariance, describe};
-use crate::bundle::posterior::{Likelihood, posterior};
-use crate::bundle::random_effects::PostureErrorModel;
 use crate::{
     BundleOptions, CalibrationError, Correspondences, Free, Identifiability, Loss, Model, ParameterEstimate,
     PoseCovariance, PostureErrorPolicy, PriorPolicy,
@@ -93,7 +93,14 @@ pub fn expected_calibration(
     let noise = NoiseScales { pixel: options.pixel_sigma, depth: options.depth_sigma_per_m, posture: errors.first };
     let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let model = Model::new(nominal.clone());
-    let mut state = posed_state(&model, vec![0.0; errors.kinds.len() * motion.len()], &motion, &observations, &noise, Loss::Squared)?;
+    let mut state = posed_state(
+        &model,
+        vec![0.0; errors.kinds.len() * motion.len()],
+        &motion,
+        &observations,
+        &noise,
+        Loss::Squared,
+    )?;
     let points = triangulate_all(&observations, &state.view(&noise, Loss::Squared), None);
     observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
     state.points = points.into_iter().flatten().collect();
@@ -164,9 +171,12 @@ mod tests {
         // Two rooms with as many points, but not the same.
         let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
         let data = record(&truth, &postures, &room(1000, &mut rng), sensing, &mut rng);
-        let fitted =
-            calibrate_bundle(&hp3j(), &data, &BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() })
-                .unwrap();
+        let fitted = calibrate_bundle(
+            &hp3j(),
+            &data,
+            &BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() },
+        )
+        .unwrap();
         let mut views = predicted(&postures, 1000);
         views.tracks.iter_mut().flat_map(|track| &mut track.observations).for_each(|sight| sight.depth_m = None);
         let options = ExpectationOptions { pixel_sigma: 0.5, joint_error_deg: 0.0, ..Default::default() };

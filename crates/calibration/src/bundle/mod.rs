@@ -29,8 +29,8 @@ pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
 pub use options::{BundleOptions, PostureErrorPolicy, RulerPolicy};
-pub use random_effects::ErrorKind;
 pub(crate) use posterior::PosteriorInputs;
 pub(crate) use predicted::predicted_distances;
+pub use random_effects::ErrorKind;
 pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;

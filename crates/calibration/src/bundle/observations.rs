@@ -170,8 +170,7 @@ mod tests {
         let v = Vector2::new(1.3, -0.7);
         let squared: f64 = v.dot(&(covariance.try_inverse().unwrap() * v));
         let expected = squared.sqrt();
-        let sighting =
-            Sighting {
+        let sighting = Sighting {
             posture: 0,
             depth_m: 0.0,
             depth_slope: [0.0; 2],

@@ -172,7 +172,9 @@ impl BundleAdjuster<'_> {
 /// nominal at the optimum under `priors`.
 pub(super) fn likeliest_groups(normal: &DMatrix<f64>, offsets: &DVector<f64>, priors: &Priors) -> Priors {
     const ROUNDS: usize = 40;
-    let weights = |priors: &Priors| DVector::from_iterator(offsets.len(), priors.sigmas.iter().map(|s| s.map_or(0.0, |s| s.powi(-2))));
+    let weights = |priors: &Priors| {
+        DVector::from_iterator(offsets.len(), priors.sigmas.iter().map(|s| s.map_or(0.0, |s| s.powi(-2))))
+    };
     // Where the likelihood alone would have the optimum: `normal * center = right`.
     let right = normal * offsets + weights(priors).component_mul(offsets);
     let mut found = priors.clone();
@@ -184,7 +186,8 @@ pub(super) fn likeliest_groups(normal: &DMatrix<f64>, offsets: &DVector<f64>, pr
         for group in PriorGroup::ALL {
             let (members, Some(sigma)) = (found.members(group), found.group_sigma(group)) else { continue };
             let squares: f64 = members.iter().map(|&k| mean[k] * mean[k]).sum();
-            let determined: f64 = members.iter().map(|&k| (1.0 - covariance[(k, k)] / (sigma * sigma)).clamp(0.0, 1.0)).sum();
+            let determined: f64 =
+                members.iter().map(|&k| (1.0 - covariance[(k, k)] / (sigma * sigma)).clamp(0.0, 1.0)).sum();
             let next = likeliest_sigma(squares, determined, group.median());
             change = change.max((next / sigma).ln().abs());
             found.set_group_sigma(group, next);

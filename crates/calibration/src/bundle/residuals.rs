@@ -77,9 +77,12 @@ pub(crate) fn residual_sizes(
     };
     let mut sizes = chunks.par_iter().map(of_chunk).collect::<Vec<_>>().concat();
     if let Some(board) = board {
-        sizes.extend(observations.corners.iter().map(|corner| {
-            residual_size(view, &corner.sighting, &board.point_in_base(corner), &Matrix3::zeros())
-        }));
+        sizes.extend(
+            observations
+                .corners
+                .iter()
+                .map(|corner| residual_size(view, &corner.sighting, &board.point_in_base(corner), &Matrix3::zeros())),
+        );
     }
     sizes
 }

@@ -15,8 +15,9 @@ use crate::prior::{PriorGroup, Priors};
 use crate::robust::median;
 use crate::uncertainty::{covariance, describe};
 use crate::{
-    BundleOptions, Calibration, CalibrationError, Correspondences, Loss, Model, Noise, Parameter, PostureErrorKnowledge,
-    PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning, free,
+    BundleOptions, Calibration, CalibrationError, Correspondences, Loss, Model, Noise, Parameter,
+    PostureErrorKnowledge, PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning,
+    free,
 };
 use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
@@ -257,8 +258,7 @@ impl BundleAdjuster<'_> {
     /// The same from where an adjustment ended, on other observations.
     fn again(&self, from: &Adjusted, observations: Observations) -> Result<Adjusted, CalibrationError> {
         let errors = from.state.posture_errors.clone();
-        let mut next =
-            self.adjust(&from.state.model, errors, from.noise, from.priors.clone(), observations, false)?;
+        let mut next = self.adjust(&from.state.model, errors, from.noise, from.priors.clone(), observations, false)?;
         next.termination.add_effort(&from.termination);
         Ok(next)
     }
@@ -297,10 +297,9 @@ impl BundleAdjuster<'_> {
             excluded: exclude,
         }));
         let unobserved = fits.iter().enumerate().filter(|(_, fit)| fit.observations == 0);
-        warnings.extend(unobserved.map(|(posture, _)| Warning::UnobservedPosture {
-            posture,
-            index: data.postures[posture].index,
-        }));
+        warnings.extend(
+            unobserved.map(|(posture, _)| Warning::UnobservedPosture { posture, index: data.postures[posture].index }),
+        );
         Ok((adjusted, fits))
     }
 
@@ -406,8 +405,7 @@ impl BundleAdjuster<'_> {
                 effort.wasted += descent.iterations;
             }
             let settled = next.is_settled(&noise, &priors, rough)
-                && (self.errors.kinds.is_empty()
-                    || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
+                && (self.errors.kinds.is_empty() || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
             if settled || effort.rounds >= self.options.max_rounds || effort.wasted >= allowed {
                 break (descent.reason, descent.cost);
             }
@@ -454,10 +452,8 @@ impl BundleAdjuster<'_> {
             let toward = |now: f64, then: f64| (now * (then / now).clamp(0.3, 3.0).powi(2)).clamp(low, high);
             let (now, then) = (noise.posture, estimate.sigmas);
             let of = |now: f64, then: f64| if now == then { now } else { toward(now, then) };
-            next.posture = PostureErrorSigmas {
-                angular: of(now.angular, then.angular),
-                linear: of(now.linear, then.linear),
-            };
+            next.posture =
+                PostureErrorSigmas { angular: of(now.angular, then.angular), linear: of(now.linear, then.linear) };
         }
         let mut next_priors = priors.clone();
         if !rough && PriorGroup::ALL.iter().any(|&group| priors.group_sigma(group).is_some()) {
@@ -674,9 +670,8 @@ fn change(old: f64, new: f64) -> f64 {
 impl Reestimated {
     fn is_settled(&self, noise: &NoiseScales, priors: &Priors, rough: bool) -> bool {
         let floor = POSTURE_ERROR_BOUNDS[0];
-        let posture = |old: f64, new: f64| {
-            new == old || new <= floor && old <= floor || change(old, new) < 5.0 * SETTLED
-        };
+        let posture =
+            |old: f64, new: f64| new == old || new <= floor && old <= floor || change(old, new) < 5.0 * SETTLED;
         let group = |group: PriorGroup| match (priors.group_sigma(group), self.priors.group_sigma(group)) {
             (Some(old), Some(new)) => change(old, new) < 5.0 * SETTLED,
             _ => true,

@@ -12,7 +12,7 @@ use crate::synthetic::{
     room, seeded,
 };
 use crate::{
-    BundleOptions, Calibration, Correspondences, PostureErrorPolicy, Free, Loss, Model, Parameter, PriorPolicy,
+    BundleOptions, Calibration, Correspondences, Free, Loss, Model, Parameter, PostureErrorPolicy, PriorPolicy,
     UnseenCause, Warning, calibrate_bundle,
 };
 use nalgebra::{DVector, Vector3};

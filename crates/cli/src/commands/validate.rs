@@ -1,29 +1,119 @@
 //! `skclam validate`.
 
-use crate::args::{Cli, ValidateArgs};
+use super::validate_points;
+use crate::args::Cli;
 use crate::progress::Screen;
 use crate::screen;
-use anyhow::Result;
+use anyhow::{Result, bail};
+use clap::{Args, ValueEnum, ValueHint};
+use serde::Serialize;
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
-use skclam::pipeline::{self, Config, Validation};
+use skclam::marker_points::{MarkerPoints, PointsValidation, validate_points};
+use skclam::pipeline::{self, Config, Validation, VerdictGrade};
 use skclam::rig::Rig;
+use std::path::{Path, PathBuf};
 
-/// Measures a rig on a recording that it was not fitted to.
+/// From which status on `validate` fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FailOnArg {
+    /// Not distinguishable, or worse.
+    Caution,
+    /// Worse.
+    Bad,
+}
+
+/// Arguments of `validate`.
+#[derive(Debug, Args)]
+pub struct ValidateArgs {
+    /// Folder with rig.toml (the rig to compare with), postures.csv, color/ and depth/; may be left out with --points.
+    #[arg(value_hint = ValueHint::DirPath, required_unless_present = "points")]
+    pub dataset: Option<PathBuf>,
+    /// The rig under test: a rig file or a result folder.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath)]
+    pub rig: PathBuf,
+    /// Parameters to fit anew on this recording, such as "mount" or "mount,depth_offset".
+    #[arg(long, value_name = "SET", requires = "dataset")]
+    pub refit: Option<String>,
+    /// Positions of a marker on the flange by an optical or laser tracker: CSV with q1_deg ..., x_mm, y_mm, z_mm and,
+    /// better, group.
+    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath)]
+    pub points: Option<PathBuf>,
+    /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
+    #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
+    pub nominal: Option<PathBuf>,
+    /// Exit with 1 where --points find the rig's status to be this or worse: bad is worse than the rig to compare with
+    /// by more than two standard errors, caution not distinguishable from it.
+    #[arg(long, value_enum, value_name = "STATUS", requires = "points")]
+    pub fail_on: Option<FailOnArg>,
+    /// Seed of every random choice.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// What `--json` prints: the validation by images as ever, and beside it the one by points.
+#[derive(Serialize)]
+struct Printed<'a> {
+    #[serde(flatten)]
+    images: Option<&'a Validation>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    points: Option<&'a PointsValidation>,
+}
+
+/// Measures a rig on a recording that it was not fitted to, by points of a tracker, or both.
 pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
-    let path = if args.rig.is_dir() { args.rig.join("rig.toml") } else { args.rig.clone() };
-    let rig = Rig::read(path)?;
-    let dataset = Dataset::open(&args.dataset)?;
-    let refit = args.refit.as_deref().map(|free| Free::parse(free, &rig)).transpose()?;
+    let rig = read_rig(&args.rig)?;
+    let dataset = args.dataset.as_deref().map(Dataset::open).transpose()?;
+    // First, since it takes no time: what is wrong with the points is said before the images are looked at.
+    let points = args.points.as_deref().map(|path| by_points(path, args, &rig, dataset.as_ref())).transpose()?;
+    let images = dataset.map(|dataset| by_images(cli, args, &rig, &dataset)).transpose()?;
+    if let Some(points) = &points {
+        screen::warn_of(cli.quiet, &validate_points::warnings(points), "--json");
+    }
+    if cli.json {
+        let printed = Printed { images: images.as_ref(), points: points.as_ref() };
+        println!("{}", serde_json::to_string_pretty(&printed)?);
+    } else {
+        images.iter().for_each(show);
+        points.iter().for_each(validate_points::show);
+    }
+    points.iter().try_for_each(|points| fail_on(args.fail_on, points))
+}
+
+/// A rig's file, or the one in a result folder or data set.
+fn read_rig(path: &Path) -> Result<Rig> {
+    Ok(Rig::read(if path.is_dir() { path.join("rig.toml") } else { path.to_owned() })?)
+}
+
+fn by_images(cli: &Cli, args: &ValidateArgs, rig: &Rig, dataset: &Dataset) -> Result<Validation> {
+    let refit = args.refit.as_deref().map(|free| Free::parse(free, rig)).transpose()?;
     let config = Config { seed: args.seed, ..Config::default() };
     let screen = Screen::new(cli.quiet);
-    let validation = pipeline::validate(&dataset, &rig, refit.as_ref(), &config, &screen)?;
+    let validation = pipeline::validate(dataset, rig, refit.as_ref(), &config, &screen)?;
     screen.finish();
     screen::warn(cli.quiet, &validation.warnings);
-    if cli.json {
-        println!("{}", serde_json::to_string_pretty(&validation)?);
-    } else {
-        show(&validation);
+    Ok(validation)
+}
+
+fn by_points(path: &Path, args: &ValidateArgs, rig: &Rig, dataset: Option<&Dataset>) -> Result<PointsValidation> {
+    let nominal = args.nominal.as_deref().map(read_rig).transpose()?;
+    let nominal = nominal.as_ref().or(dataset.map(|dataset| &dataset.rig));
+    if args.fail_on.is_some() && nominal.is_none() {
+        bail!("--fail-on needs a rig to compare with: give --nominal RIG or a DATASET");
+    }
+    Ok(validate_points(&MarkerPoints::read(path)?, rig, nominal)?)
+}
+
+/// Turns a status that the caller does not accept into a failure.
+fn fail_on(limit: Option<FailOnArg>, points: &PointsValidation) -> Result<()> {
+    let (Some(limit), Some(comparison)) = (limit, points.comparison) else { return Ok(()) };
+    let (limit, name) = match limit {
+        FailOnArg::Caution => (VerdictGrade::Caution, "caution"),
+        FailOnArg::Bad => (VerdictGrade::Bad, "bad"),
+    };
+    if comparison.status >= limit {
+        let status = if comparison.status == VerdictGrade::Bad { "bad" } else { "caution" };
+        bail!("the rig's status by points is {status}, and --fail-on {name} was asked for");
     }
     Ok(())
 }

@@ -69,6 +69,18 @@ pub enum DatasetError {
         /// Postures found.
         got: usize,
     },
+    /// Fewer measured positions of a marker than its offset and the instrument's frame have numbers.
+    #[error("{}: {got} measured points of {markers} marker(s); at least {need} are needed, and 30 or more diverse ones for a good judgement", path.display())]
+    TooFewPoints {
+        /// The file.
+        path: PathBuf,
+        /// Points found.
+        got: usize,
+        /// Points needed.
+        need: usize,
+        /// Markers on the flange.
+        markers: usize,
+    },
     /// A depth image is named, but the rig describes no depth camera.
     #[error("{}, line {line}: a depth image is named, but the rig has no [depth] table; describe the depth camera or drop the column", path.display())]
     DepthWithoutCamera {

@@ -12,6 +12,7 @@ mod self_filter;
 pub use error::DatasetError;
 pub use images::write_depth_png;
 pub use postures::{PostureRecord, read_postures, write_postures};
+pub(crate) use postures::{csv_problem, joint_column};
 pub use self_filter::{SelfFilter, SelfFilterOptions};
 
 use image::{GrayImage, RgbImage};

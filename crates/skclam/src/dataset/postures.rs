@@ -85,14 +85,7 @@ impl Table<'_> {
     }
 
     fn csv(&self, line: usize, error: &csv::Error) -> DatasetError {
-        let problem = match error.kind() {
-            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                format!("{len} fields, but the header names {expected_len} columns")
-            }
-            csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".to_owned(),
-            _ => error.to_string(),
-        };
-        self.error(line, problem)
+        self.error(line, csv_problem(error))
     }
 
     fn columns(&self, header: &csv::StringRecord) -> Result<Columns, DatasetError> {
@@ -220,8 +213,19 @@ impl Table<'_> {
     }
 }
 
+/// What is wrong with a table, without its place: the caller names file and line.
+pub(crate) fn csv_problem(error: &csv::Error) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("{len} fields, but the header names {expected_len} columns")
+        }
+        csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".to_owned(),
+        _ => error.to_string(),
+    }
+}
+
 /// `q3_deg` is joint 3 with the unit of a degree.
-fn joint_column(name: &str) -> Option<(usize, f64)> {
+pub(crate) fn joint_column(name: &str) -> Option<(usize, f64)> {
     let (number, unit) = name.strip_prefix('q')?.split_once('_')?;
     let joint = number.parse::<usize>().ok().filter(|joint| (1..=MAX_JOINTS).contains(joint))?;
     let unit = match unit {

@@ -261,7 +261,8 @@ fn predicted_tracks(
             posture,
             pixel,
             covariance: isotropic_covariance(1.0),
-            depth_m: depth_of(posture, point), depth_slope: [0.0; 2],
+            depth_m: depth_of(posture, point),
+            depth_slope: [0.0; 2],
         };
         let others: Vec<(usize, Isometry3)> =
             partners[a].iter().map(|&b| (b, views[b].base_from_color.inverse() * from.base_from_color)).collect();

@@ -5,8 +5,8 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, Calibration, CalibrationError, Correspondences, CrossValidation, Fold, Free, Jackknife, MountComponent, Parameter,
-    PostureErrorPolicy, Rigs, cross_validate, held_out_groups, jackknife,
+    BundleOptions, Calibration, CalibrationError, Correspondences, CrossValidation, Fold, Free, Jackknife,
+    MountComponent, Parameter, PostureErrorPolicy, Rigs, cross_validate, held_out_groups, jackknife,
 };
 use skclam_rig::Posture;
 
@@ -162,7 +162,8 @@ mod tests {
             posture,
             pixel: Pixel::origin(),
             covariance: Matrix2::identity(),
-            depth_m: None, depth_slope: [0.0; 2],
+            depth_m: None,
+            depth_slope: [0.0; 2],
         };
         let pair_match = PairMatch { in_a: Pixel::origin(), in_b: Pixel::origin(), sigma_px: 1.0, distance: 0 };
         let data = Correspondences {

@@ -76,7 +76,13 @@ pub fn correspondences(
                 let (pixel, covariance) = measured[index]?;
                 let observation = tracks.observations[index];
                 let (posture, keypoint) = (observation.image as usize, observation.keypoint as usize);
-                Some(TrackObservation { posture, pixel, covariance, depth_m: images[posture].depth_m[keypoint] , depth_slope: [0.0; 2]})
+                Some(TrackObservation {
+                    posture,
+                    pixel,
+                    covariance,
+                    depth_m: images[posture].depth_m[keypoint],
+                    depth_slope: [0.0; 2],
+                })
             })
             .collect();
         (observations.len() >= 2).then_some(Track { observations })

@@ -7,8 +7,8 @@ use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    BundleOptions, Comparison, Correspondences, PostureErrorPolicy, EpipolarStatistics, Free, Model, MountComponent,
-    Parameter, PriorPolicy, ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
+    BundleOptions, Comparison, Correspondences, EpipolarStatistics, Free, Model, MountComponent, Parameter,
+    PostureErrorPolicy, PriorPolicy, ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
 };
 use skclam_geometry::Isometry3;
 use skclam_rig::Rig;
