@@ -58,7 +58,9 @@ pub use outcome::{
 };
 pub use pairwise::{PairwiseOptions, Search, calibrate_pairwise, calibrate_pairwise_from};
 pub use parameter::{Intrinsic, MountComponent, Parameter, ParseParameterError, Unit};
-pub use pose_covariance::{PoseCovariance, orientation_sigma_rad, pose_covariances, position_sigma_m};
+pub use pose_covariance::{
+    AlignedPositions, PoseCovariance, aligned_positions, orientation_sigma_rad, pose_covariances, position_sigma_m,
+};
 pub use prior::{PriorGroup, PriorPolicy, default_sigma, stated_sigma};
 pub use reprojection_residuals::{ReprojectionResidual, reprojection_residuals};
 pub use robust::Loss;

@@ -5,7 +5,7 @@
 
 use crate::motion::Motion;
 use crate::{Calibration, CalibrationError, Model, Parameter};
-use nalgebra::{DMatrix, Matrix3, Matrix6, Vector6};
+use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3, Vector6};
 use skclam_geometry::Isometry3;
 use skclam_rig::{Posture, Rig};
 
@@ -75,8 +75,55 @@ pub(crate) fn spread_to_poses(
         .collect()
 }
 
-/// What is left of a covariance of camera positions over some postures, as the mean of their variances (m^2), once the base frame has been fitted to them: a rigid motion of the whole
-/// arm, which whoever registers the base with the arm itself does not notice.
+/// Camera positions over some postures, once the base frame has been fitted to them: a rigid motion of the whole arm is not noticed by whoever registers its base with the
+/// arm itself, and is taken out as standards of absolute accuracy do (ISO 9283). To first order.
+struct AlignedCameras {
+    /// Of the stacked positions by the parameters, base frame, rigid motions taken out.
+    jacobian: DMatrix<f64>,
+    /// Orthonormal basis of the rigid motions.
+    rigid: DMatrix<f64>,
+}
+
+impl AlignedCameras {
+    fn new(
+        nominal: &Rig,
+        model: &Model,
+        parameters: &[Parameter],
+        postures: &[Posture],
+    ) -> Result<Self, CalibrationError> {
+        let motion = Motion::new(nominal, postures)?;
+        let count = postures.len();
+        let mut jacobian = DMatrix::zeros(3 * count, parameters.len());
+        let mut rigid = DMatrix::zeros(3 * count, 6);
+        for posture in 0..count {
+            let linear = motion.linearize(model, parameters, posture, &[])?;
+            let base_from_camera = linear.base_from_camera;
+            for (column, twist) in linear.by_parameter.iter().enumerate() {
+                let moved = base_from_camera.rotation * Vector3::new(twist[0], twist[1], twist[2]);
+                jacobian.fixed_view_mut::<3, 1>(3 * posture, column).copy_from(&moved);
+            }
+            rigid.fixed_view_mut::<3, 3>(3 * posture, 0).copy_from(&Matrix3::identity());
+            let turned = -base_from_camera.translation.vector.cross_matrix();
+            rigid.fixed_view_mut::<3, 3>(3 * posture, 3).copy_from(&turned);
+        }
+        // Few or coinciding positions leave fewer than six rigid motions.
+        let svd = rigid.svd(true, false);
+        let largest = svd.singular_values.amax();
+        let kept: Vec<usize> =
+            (0..svd.singular_values.len()).filter(|&k| svd.singular_values[k] > 1e-9 * largest).collect();
+        let rigid = svd.u.map_or_else(|| DMatrix::zeros(3 * count, 0), |u| u.select_columns(&kept));
+        let jacobian = &jacobian - &rigid * (rigid.transpose() * &jacobian);
+        Ok(AlignedCameras { jacobian, rigid })
+    }
+
+    /// Mean variance of a position, m^2.
+    fn variance(&self, covariance: &DMatrix<f64>) -> f64 {
+        let count = (self.jacobian.nrows() / 3).max(1) as f64;
+        (&self.jacobian * covariance).component_mul(&self.jacobian).sum() / count
+    }
+}
+
+/// The mean variance (m^2) of the camera's position over some postures under a covariance of the parameters, the base frame fitted to them.
 pub(crate) fn aligned_position_variance(
     nominal: &Rig,
     model: &Model,
@@ -84,24 +131,43 @@ pub(crate) fn aligned_position_variance(
     covariance: &DMatrix<f64>,
     postures: &[Posture],
 ) -> Result<f64, CalibrationError> {
+    Ok(AlignedCameras::new(nominal, model, parameters, postures)?.variance(covariance))
+}
+
+/// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame fitted to them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlignedPositions {
+    /// Root of the mean square of how far the calibration moves the camera, m.
+    pub change_m: f64,
+    /// Root of the mean variance of its position in space, m; `None` where the estimator gives no covariance.
+    pub sigma_m: Option<f64>,
+    /// The part of that which comes from the standard of length, m; `None` where there is none.
+    pub ruler_sigma_m: Option<f64>,
+}
+
+/// See [`AlignedPositions`].
+pub fn aligned_positions(
+    nominal: &Rig,
+    calibration: &Calibration,
+    postures: &[Posture],
+) -> Result<AlignedPositions, CalibrationError> {
+    let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
+    let aligned = AlignedCameras::new(nominal, &calibration.model, &parameters, postures)?;
     let motion = Motion::new(nominal, postures)?;
-    let count = postures.len();
-    let mut jacobian = DMatrix::zeros(3 * count, parameters.len());
-    let mut rigid = DMatrix::zeros(3 * count, 6);
-    for posture in 0..count {
-        let linear = motion.linearize(model, parameters, posture, &[])?;
-        let base_from_camera = linear.base_from_camera;
-        for (column, twist) in linear.by_parameter.iter().enumerate() {
-            let moved = base_from_camera.rotation * nalgebra::Vector3::new(twist[0], twist[1], twist[2]);
-            jacobian.fixed_view_mut::<3, 1>(3 * posture, column).copy_from(&moved);
-        }
-        rigid.fixed_view_mut::<3, 3>(3 * posture, 0).copy_from(&Matrix3::identity());
-        let turned = -base_from_camera.translation.vector.cross_matrix();
-        rigid.fixed_view_mut::<3, 3>(3 * posture, 3).copy_from(&turned);
-    }
-    let basis = rigid.qr().q();
-    let left = &jacobian - &basis * (basis.transpose() * &jacobian);
-    Ok((&left * covariance).component_mul(&left).sum() / count.max(1) as f64)
+    let before = motion.poses(&Model::new(nominal.clone()), &[])?;
+    let after = motion.poses(&calibration.model, &[])?;
+    let moved = before.iter().zip(&after).flat_map(|(before, after)| {
+        let way = after.translation.vector - before.translation.vector;
+        [way.x, way.y, way.z]
+    });
+    let moved = nalgebra::DVector::from_iterator(3 * postures.len(), moved);
+    let left = &moved - &aligned.rigid * (aligned.rigid.transpose() * &moved);
+    let sigma = |covariance: &DMatrix<f64>| aligned.variance(covariance).max(0.0).sqrt();
+    Ok(AlignedPositions {
+        change_m: (left.norm_squared() / postures.len().max(1) as f64).sqrt(),
+        sigma_m: calibration.covariance.as_ref().map(sigma),
+        ruler_sigma_m: calibration.ruler.as_ref().map(|ruler| sigma(&ruler.covariance)),
+    })
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
-use crate::bundle::posterior::{Likelihood, posterior};
+use crate::bundle::posterior::{Likelihood, PosteriorInputs};
 use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
@@ -131,11 +131,12 @@ pub fn expected_calibration(
     let mut prior_normal = DMatrix::zeros(count, count);
     priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
     let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
-    let covariance = match posterior(&likelihood, &prior_normal, &priors, ruler, true) {
+    let inputs = PosteriorInputs { likelihood, prior_normal, priors: priors.clone(), ruler, held: true };
+    let covariance = match inputs.posterior() {
         Some(known) => known.covariance,
-        None => covariance(&(&likelihood.normal + &prior_normal), &parameters),
+        None => covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), &parameters),
     };
-    let normal = likelihood.normal;
+    let normal = inputs.with_instruments(&parameters);
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
     let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;

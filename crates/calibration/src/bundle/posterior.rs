@@ -5,6 +5,7 @@
 //! about the optimum that is reported. The standard of length (the board's squares, or the depth's scale) may have been held there: how far the posterior moves it is then
 //! part of the covariance.
 
+use crate::Parameter;
 use crate::bundle::adjust::inverse;
 use crate::prior::{LOG_SPREAD, PriorGroup, Priors};
 use nalgebra::{DMatrix, DVector};
@@ -40,6 +41,17 @@ pub(crate) struct PosteriorInputs {
 impl PosteriorInputs {
     pub(crate) fn posterior(&self) -> Option<Posterior> {
         posterior(&self.likelihood, &self.prior_normal, &self.priors, self.ruler, self.held)
+    }
+
+    /// Normal matrix of the data and of the tolerances of cameras and board: what can be identified with instruments as good as such devices are.
+    pub(crate) fn with_instruments(&self, parameters: &[Parameter]) -> DMatrix<f64> {
+        let mut normal = self.likelihood.normal.clone();
+        for (k, parameter) in parameters.iter().enumerate() {
+            if let (true, Some(sigma)) = (parameter.is_nuisance(), self.priors.sigmas[k]) {
+                normal[(k, k)] += sigma.powi(-2);
+            }
+        }
+        normal
     }
 
     /// The same with observations that are worth less by a factor of their variance: what a parameter is known to beyond its prior, it is known to less.

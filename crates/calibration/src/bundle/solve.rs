@@ -535,7 +535,7 @@ impl BundleAdjuster<'_> {
             &data.postures,
             self.parameters,
             &priors,
-            &known.inputs.likelihood.normal,
+            &known.inputs.with_instruments(self.parameters),
             &known.covariance,
         );
         let outliers = sizes.iter().filter(|size| size.pixel >= OUTLIER_SIGMAS).count();
