@@ -35,8 +35,8 @@ pub use board::{
     BoardFold, BoardPlace, base_from_board, board_residuals, color_from_board, cross_validate_board, fit_mount_to_board,
 };
 pub use bundle::{
-    BundleOptions, ErrorKind, ExpectationOptions, ExpectedCalibration, PostureErrorPolicy, RulerPolicy,
-    calibrate_bundle, expected_calibration,
+    BundleOptions, ErrorKind, ErrorPattern, ExpectationOptions, ExpectedCalibration, PatternFinding,
+    PostureErrorPolicy, RulerPolicy, calibrate_bundle, expected_calibration,
 };
 pub use correspondences::{
     BoardObservation, Correspondences, PairMatch, PairMatches, Track, TrackObservation, isotropic_covariance,

@@ -209,6 +209,7 @@ pub fn calibrate_nelder_mead(
         prior_scales: Vec::new(),
         posture_errors: Vec::new(),
         posture_error_knowledge: None,
+        error_patterns: Vec::new(),
         termination: Termination {
             reason,
             iterations,

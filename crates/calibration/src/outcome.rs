@@ -1,7 +1,7 @@
 //! What an estimator hands back.
 
 use crate::bundle::PosteriorInputs;
-use crate::{EpipolarStatistics, Identifiability, Model, Parameter, PriorGroup, Termination, Warning};
+use crate::{EpipolarStatistics, Identifiability, Model, Parameter, PatternFinding, PriorGroup, Termination, Warning};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +39,8 @@ pub struct Calibration {
     pub posture_errors: Vec<Vec<f64>>,
     /// The same with its covariance; `None` where it was not estimated.
     pub posture_error_knowledge: Option<PostureErrorKnowledge>,
+    /// What the errors of the postures have in common, what explains most first.
+    pub error_patterns: Vec<PatternFinding>,
     /// How the solver ended.
     pub termination: Termination,
     /// What a person should hear of.

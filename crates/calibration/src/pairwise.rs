@@ -350,6 +350,7 @@ pub fn calibrate_pairwise_from(
         prior_scales: Vec::new(),
         posture_errors: Vec::new(),
         posture_error_knowledge: None,
+        error_patterns: Vec::new(),
         termination: Termination {
             reason,
             iterations: effort.iterations,

@@ -1,8 +1,8 @@
 //! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    BoardSummary, CameraFixedSummary, Config, HeldOutSummary, MapCoverage, MatchedPair, PoseSigmaSummary, Reason,
-    Scale, SurfaceAgreement, TrackSummary, VerdictGrade, judge, worst,
+    BoardSummary, CameraFixedSummary, Cause, Config, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
+    PoseSigmaSummary, Reason, Scale, SurfaceAgreement, TrackSummary, VerdictCase, VerdictGrade,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -19,8 +19,14 @@ pub struct Summary {
     pub version: String,
     /// The verdict in one sentence.
     pub verdict: String,
-    /// The same as a traffic light: the worst that any of the reasons calls for.
+    /// The worst that any of the checks calls for.
     pub grade: VerdictGrade,
+    /// The case of the verdict.
+    pub case: VerdictCase,
+    /// The numbers that it follows from.
+    pub evidence: Evidence,
+    /// What does not fit, by name, the likeliest first.
+    pub causes: Vec<Cause>,
     /// What was looked at, worst first.
     pub reasons: Vec<Reason>,
     /// Where lengths come from.
@@ -59,14 +65,6 @@ pub struct Summary {
     pub stages: Vec<StageSeconds>,
     /// Largest resident memory, MiB; filled in by the program.
     pub peak_memory_mib: Option<f64>,
-}
-
-impl Summary {
-    /// Fills in reasons and grade, for a run whose estimate and held-out postures alone call for `own`.
-    pub(crate) fn judge(&mut self, own: VerdictGrade) {
-        self.reasons = judge(self, own);
-        self.grade = worst(&self.reasons, own);
-    }
 }
 
 /// What came in.

@@ -5,6 +5,7 @@
 //! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
 
 mod adjust;
+mod causes;
 mod expected;
 mod noise;
 mod observations;
@@ -25,6 +26,7 @@ mod triangulate;
 mod unknowns;
 mod view;
 
+pub use causes::{ErrorPattern, PatternFinding};
 pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration};
 pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;

@@ -1,6 +1,7 @@
 //! The estimator from start to result: start pairwise, screen for outlier postures, adjust everything, estimate the noise, conclude.
 
 use crate::bundle::adjust::{Adjustment, marginal_equations, posed_state};
+use crate::bundle::causes::error_patterns;
 use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::outliers::{judged, outlier_postures};
@@ -580,6 +581,10 @@ impl BundleAdjuster<'_> {
                 .collect(),
             postures: fits,
             posture_errors: state.posture_errors.chunks(components.max(1)).map(<[f64]>::to_vec).collect(),
+            error_patterns: match &known.errors {
+                Some(errors) => error_patterns(&state.model, self.motion, errors)?,
+                None => Vec::new(),
+            },
             posture_error_knowledge: known.errors,
             termination,
             warnings,

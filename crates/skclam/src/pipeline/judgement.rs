@@ -1,163 +1,225 @@
-//! The traffic light of a run with its reasons: the worst that anything calls for that was looked at.
+//! The checks of a run, each with what it calls for; the status is the worst of them.
 
-use super::VerdictGrade;
-use super::verdict::UNEXPLAINED_PX;
+use super::sentences::check_text;
+use super::{Cause, Evidence, VerdictCase, VerdictGrade};
 use crate::summary::Summary;
 use serde::{Deserialize, Serialize};
-use skclam_calibration::StopReason;
+use skclam_calibration::{StopReason, Warning};
 
-/// One thing that was looked at, and what it calls for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// One thing that was looked at, with its numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "check", rename_all = "snake_case")]
+pub enum Check {
+    /// The case of the verdict.
+    Verdict {
+        /// Which.
+        case: VerdictCase,
+    },
+    /// Something that does not fit, by name.
+    Cause {
+        /// Which.
+        cause: Cause,
+    },
+    /// Better than the nominal rig, and than its mount alone fitted, on held-out postures.
+    HeldOutBetter {
+        /// Nominal, px.
+        nominal_px: f64,
+        /// Calibrated, px.
+        calibrated_px: f64,
+    },
+    /// Held-out postures are far more off than fitted ones.
+    Systematic {
+        /// Over held-out postures, px.
+        held_out_px: f64,
+        /// Over those that were fitted, px.
+        fitted_px: f64,
+    },
+    /// Many observations do not fit.
+    Outliers {
+        /// Their part.
+        fraction: f64,
+    },
+    /// How far apart the surfaces of overlapping depth images are, point to plane.
+    DepthConsistency {
+        /// At the nominal poses, mm.
+        nominal_mm: f64,
+        /// At the calibrated poses, mm.
+        calibrated_mm: f64,
+    },
+    /// The scatter of the held-out fits made every sigma wider.
+    SigmaWidened {
+        /// As the noise alone would have it, mm.
+        claimed_mm: f64,
+        /// As the fits scatter, mm.
+        scattered_mm: f64,
+    },
+    /// The solver stopped early.
+    NotConverged,
+    /// Combinations of parameters that the data do not determine.
+    NotIdentifiable {
+        /// How many.
+        combinations: usize,
+    },
+    /// There is no arm to calibrate.
+    FlangePosesOnly,
+    /// Postures that do not fit the others.
+    OutlierPostures {
+        /// The recording's indices.
+        indices: Vec<u64>,
+    },
+    /// Postures that share nothing with the others.
+    UnobservedPostures {
+        /// The recording's indices.
+        indices: Vec<u64>,
+    },
+}
+
+/// A check, what it calls for, and its words.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reason {
     /// What it calls for.
     pub grade: VerdictGrade,
     /// What was seen.
+    pub check: Check,
+    /// The same in words.
     pub text: String,
 }
 
-/// From this ratio on the depth images are said to agree less, or more.
-const WORSE_AGREEMENT: f64 = 1.05;
+impl From<Check> for Reason {
+    fn from(check: Check) -> Self {
+        Reason { grade: check.grade(), text: check_text(&check), check }
+    }
+}
+
+/// From this ratio on the depth images are said to be less consistent.
+const WORSE_CONSISTENCY: f64 = 1.05;
 /// More outliers than this are many.
 const MANY_OUTLIERS: f64 = 0.2;
 /// Held-out residuals beyond so many times the fitted ones, and beyond this many px, show errors that the parameters do not cover.
-const SYSTEMATIC: (f64, f64) = (4.0, 1.0);
+const SYSTEMATIC: (f64, f64) = (10.0, 2.0);
+/// A sigma that had to be widened by more than this factor tells of errors that the model of the noise does not have.
+const MUCH_WIDER: f64 = 2.0;
 
-/// Reasons, worst first, for a run whose estimate and held-out postures alone call for `own`.
-pub fn judge(summary: &Summary, own: VerdictGrade) -> Vec<Reason> {
-    let mut reasons = Vec::new();
-    {
-        let mut tell = |grade, text: String| reasons.push(Reason { grade, text });
-        fit(summary, own, &mut tell);
-        surfaces(summary, &mut tell);
-        estimate(summary, &mut tell);
+impl Check {
+    /// What it calls for.
+    pub fn grade(&self) -> VerdictGrade {
+        match self {
+            Check::Verdict { case } => case.grade(),
+            Check::Cause { cause } => cause.grade(),
+            Check::HeldOutBetter { .. } => VerdictGrade::Good,
+            Check::DepthConsistency { nominal_mm, calibrated_mm } => {
+                if *calibrated_mm > nominal_mm * WORSE_CONSISTENCY { VerdictGrade::Caution } else { VerdictGrade::Good }
+            }
+            // It was dealt with: the sigmas are as wide as the data show.
+            Check::SigmaWidened { .. } => VerdictGrade::Good,
+            Check::Systematic { .. }
+            | Check::Outliers { .. }
+            | Check::NotConverged
+            | Check::NotIdentifiable { .. }
+            | Check::FlangePosesOnly
+            | Check::OutlierPostures { .. }
+            | Check::UnobservedPostures { .. } => VerdictGrade::Caution,
+        }
     }
+}
+
+/// The checks of a run, worst first. `warnings`: of its calibration.
+pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warnings: &[Warning]) -> Vec<Reason> {
+    let mut checks = vec![Check::Verdict { case: case.clone() }];
+    let in_case = match case {
+        VerdictCase::Unexplained { cause, .. } => cause.as_ref(),
+        VerdictCase::BetterWithCause { cause, .. } => Some(cause),
+        _ => None,
+    };
+    let others = summary.causes.iter().filter(|cause| in_case != Some(cause));
+    checks.extend(others.map(|cause| Check::Cause { cause: cause.clone() }));
+    checks.extend(held_out(evidence, summary));
+    if let Some((nominal_mm, calibrated_mm)) =
+        summary.map.and_then(|map| Some((map.agreement_nominal?.median_mm, map.agreement_calibrated?.median_mm)))
+    {
+        checks.push(Check::DepthConsistency { nominal_mm, calibrated_mm });
+    }
+    checks.extend(estimate(summary, warnings));
+    let mut reasons: Vec<Reason> = checks.into_iter().map(Reason::from).collect();
     // Stable: among equals, the order in which they were looked at.
     reasons.sort_by_key(|reason| std::cmp::Reverse(reason.grade));
     reasons
 }
 
-/// The worst of the reasons, but at least `own`.
-pub fn worst(reasons: &[Reason], own: VerdictGrade) -> VerdictGrade {
-    reasons.iter().map(|reason| reason.grade).fold(own, VerdictGrade::max)
+fn held_out(evidence: &Evidence, summary: &Summary) -> Vec<Check> {
+    let mut checks = Vec::new();
+    let Some(px) = evidence.held_out_px else { return checks };
+    if px.calibrated < px.nominal && px.mount_only.is_none_or(|mount_only| px.calibrated < mount_only) {
+        checks.push(Check::HeldOutBetter { nominal_px: px.nominal, calibrated_px: px.calibrated });
+    }
+    let (times, least) = SYSTEMATIC;
+    if let Some(fitted_px) = evidence.reprojection_px.filter(|fitted| px.calibrated > (times * fitted).max(least)) {
+        checks.push(Check::Systematic { held_out_px: px.calibrated, fitted_px });
+    }
+    let jackknife = summary.held_out.as_ref().and_then(|held_out| held_out.jackknife);
+    if let Some(jackknife) = jackknife.filter(|found| found.scattered_m > MUCH_WIDER * found.claimed_m) {
+        checks.push(Check::SigmaWidened {
+            claimed_mm: jackknife.claimed_m * 1e3,
+            scattered_mm: jackknife.scattered_m * 1e3,
+        });
+    }
+    checks
 }
 
-fn fit(summary: &Summary, own: VerdictGrade, tell: &mut dyn FnMut(VerdictGrade, String)) {
+fn estimate(summary: &Summary, warnings: &[Warning]) -> Vec<Check> {
+    let mut checks = Vec::new();
     let calibration = &summary.calibration;
-    let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
-    if after.matches > 0 {
-        if after.median_px > UNEXPLAINED_PX {
-            tell(
-                VerdictGrade::Bad,
-                format!(
-                    "The calibrated rig does not explain the images: matches stay {:.1} px from their lines in the median.",
-                    after.median_px
-                ),
-            );
-        } else if after.median_px >= before.median_px && before.median_px > 0.0 {
-            tell(own.max(VerdictGrade::Caution), "The matches fit no better than with the nominal rig.".to_owned());
-        }
-    }
-    let told = match &summary.held_out {
-        None => "It was not tried on postures that it was not fitted to (no held-out test).",
-        Some(held_out) if !held_out.beats_nominal() => {
-            "On postures that it was not fitted to (held out) it is no better than the nominal rig."
-        }
-        Some(held_out) if held_out.beats_mount_only() == Some(false) => {
-            "On postures that it was not fitted to (held out), correcting the mount alone does as well as correcting the arm."
-        }
-        Some(_) if own == VerdictGrade::Good => "It holds on postures that it was not fitted to (held out).",
-        // What is wrong then is said by another reason.
-        Some(_) => "It is better than the nominal rig on postures that it was not fitted to (held out).",
-    };
-    let beaten = summary
-        .held_out
-        .as_ref()
-        .is_some_and(|held_out| held_out.beats_nominal() && held_out.beats_mount_only() != Some(false));
-    tell(if beaten { VerdictGrade::Good } else { own }, told.to_owned());
-    if let (Some(held_out), Some(fitted)) = (&summary.held_out, &calibration.reprojection_after) {
-        let px = held_out.metric_px.calibrated;
-        if held_out.metric.starts_with("reprojection") && px > SYSTEMATIC.1 && px > SYSTEMATIC.0 * fitted.rms_px {
-            let text = format!(
-                "Held-out postures stay {px:.1} px off, fitted ones {:.1} px: something is wrong that is not among the free parameters, or the postures are too few.",
-                fitted.rms_px
-            );
-            tell(VerdictGrade::Caution, text);
-        }
-    }
     if calibration.outlier_fraction > MANY_OUTLIERS {
-        let text = format!("{:.0} % of the correspondences do not fit.", calibration.outlier_fraction * 100.0);
-        tell(VerdictGrade::Caution, text);
-    }
-}
-
-fn surfaces(summary: &Summary, tell: &mut dyn FnMut(VerdictGrade, String)) {
-    let agreement = summary.map.and_then(|map| Some((map.agreement_nominal?, map.agreement_calibrated?)));
-    let Some((before, after)) = agreement.map(|(before, after)| (before.median_mm, after.median_mm)) else { return };
-    if after > before * WORSE_AGREEMENT {
-        let text = format!(
-            "The depth images agree less than before ({before:.1} mm to {after:.1} mm apart): matches and depth contradict each other."
-        );
-        tell(VerdictGrade::Caution, text);
-    } else if after * WORSE_AGREEMENT < before {
-        tell(VerdictGrade::Good, "The surfaces of the depth images agree better than before.".to_owned());
-    } else {
-        tell(VerdictGrade::Good, "The surfaces of the depth images agree as well as before.".to_owned());
-    }
-}
-
-fn estimate(summary: &Summary, tell: &mut dyn FnMut(VerdictGrade, String)) {
-    let calibration = &summary.calibration;
-    if let Some(suspicion) = summary.scale.suspicion() {
-        let mut text = suspicion.text;
-        text.replace_range(..1, "A");
-        tell(if suspicion.certain { VerdictGrade::Bad } else { VerdictGrade::Caution }, format!("{text}."));
-    }
-    let no_sigma = summary.recorded_poses.as_ref().is_none_or(|poses| poses.camera_sigma_mm.is_none());
-    if no_sigma {
-        let text = "How far off the camera still is was not estimated: this estimator gives no standard deviations.";
-        tell(VerdictGrade::Caution, text.to_owned());
+        checks.push(Check::Outliers { fraction: calibration.outlier_fraction });
     }
     if matches!(calibration.termination.reason, StopReason::IterationLimit { .. }) {
-        let text = "The solver stopped at its limit of iterations before it converged.";
-        tell(VerdictGrade::Caution, text.to_owned());
+        checks.push(Check::NotConverged);
     }
-    let unseen = calibration.not_identifiable.len();
-    if unseen > 0 {
-        let what = if unseen == 1 { "combination of parameters is" } else { "combinations of parameters are" };
-        let text = format!("{unseen} {what} not seen by the data; see \u{201c}What the data cannot tell\u{201d}.");
-        tell(VerdictGrade::Caution, text);
+    let combinations = calibration.not_identifiable.len();
+    if combinations > 0 {
+        checks.push(Check::NotIdentifiable { combinations });
     }
     if !calibration.arm {
-        let text = "Only flange poses are known: the mount is calibrated, the arm is not.";
-        tell(VerdictGrade::Caution, text.to_owned());
+        checks.push(Check::FlangePosesOnly);
     }
-    let suspects = summary.warnings.iter();
-    let suspects = suspects.filter(|text| text.starts_with("posture ") && text.contains("does not fit")).count();
-    let alone = summary.warnings.iter().filter(|text| text.contains("no usable correspondence")).count();
-    if suspects > 0 {
-        let what = if suspects == 1 { "posture does" } else { "postures do" };
-        tell(VerdictGrade::Caution, format!("{suspects} {what} not fit the others; see the warnings."));
+    let outliers = warnings.iter().filter_map(|warning| match warning {
+        Warning::OutlierPosture { index, .. } => Some(*index),
+        _ => None,
+    });
+    let indices: Vec<u64> = outliers.collect();
+    if !indices.is_empty() {
+        checks.push(Check::OutlierPostures { indices });
     }
-    if alone > 0 {
-        let what = if alone == 1 { "posture shares" } else { "postures share" };
-        tell(VerdictGrade::Caution, format!("{alone} {what} no usable view with the others; see the warnings."));
+    let unobserved = warnings.iter().filter_map(|warning| match warning {
+        Warning::UnobservedPosture { index, .. } => Some(*index),
+        _ => None,
+    });
+    let indices: Vec<u64> = unobserved.collect();
+    if !indices.is_empty() {
+        checks.push(Check::UnobservedPostures { indices });
     }
+    checks
+}
+
+/// The worst of the checks.
+pub fn worst(reasons: &[Reason]) -> VerdictGrade {
+    reasons.iter().map(|reason| reason.grade).max().unwrap_or(VerdictGrade::Caution)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn reason(grade: VerdictGrade) -> Reason {
-        Reason { grade, text: String::new() }
-    }
-
     #[test]
-    fn the_worst_reason_decides_and_grades_are_ordered() {
+    fn the_worst_check_decides_and_grades_are_ordered() {
         use VerdictGrade::{Bad, Caution, Good};
         assert!(Good < Caution && Caution < Bad);
-        assert_eq!(worst(&[reason(Good), reason(Caution)], Good), Caution);
-        assert_eq!(worst(&[reason(Good)], Bad), Bad);
-        assert_eq!(worst(&[], Good), Good);
+        let better = Check::HeldOutBetter { nominal_px: 2.0, calibrated_px: 1.0 };
+        let worse = Check::DepthConsistency { nominal_mm: 1.0, calibrated_mm: 2.0 };
+        let same = Check::DepthConsistency { nominal_mm: 1.0, calibrated_mm: 1.04 };
+        assert_eq!([&better, &worse, &same].map(Check::grade), [Good, Caution, Good]);
+        let reasons: Vec<Reason> = vec![better.into(), worse.into(), same.into()];
+        assert_eq!(worst(&reasons), Caution);
+        assert_eq!(worst(&[]), Caution, "nothing was looked at");
     }
 }

@@ -4,7 +4,9 @@ use super::RunError;
 use crate::dataset::Dataset;
 use crate::evaluation::{Statistics, base_gauge};
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Calibration, orientation_sigma_rad, pose_covariances, position_sigma_m};
+use skclam_calibration::{
+    AlignedPositions, Calibration, aligned_positions, orientation_sigma_rad, pose_covariances, position_sigma_m,
+};
 use skclam_geometry::Isometry3;
 use skclam_kinematics::{JointKind, SerialChain};
 use skclam_rig::{Posture, PostureState, Rig};
@@ -42,6 +44,32 @@ pub struct PoseSigma {
     pub flange_sigma_deg: Option<f64>,
 }
 
+/// Position error of the camera (root of the mean square over some postures), with the base frame fitted to them: what is left for whoever registers the base with the arm itself,
+/// as standards of absolute accuracy have it (ISO 9283).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RegisteredError {
+    /// How far the calibration moves the camera, mm.
+    pub change_mm: f64,
+    /// Standard deviation of its position in space, mm.
+    pub sigma_mm: f64,
+    /// The part of that which comes from the standard of length, mm.
+    pub ruler_sigma_mm: f64,
+    /// Expected error under the nominal rig, mm: the root of the sum of squares of change and standard deviation.
+    pub nominal_mm: f64,
+}
+
+impl RegisteredError {
+    fn of(nominal: &Rig, calibration: &Calibration, postures: &[Posture]) -> Result<Option<Self>, RunError> {
+        let AlignedPositions { change_m, sigma_m, ruler_sigma_m } = aligned_positions(nominal, calibration, postures)?;
+        Ok(sigma_m.map(|sigma_m| RegisteredError {
+            change_mm: change_m * 1e3,
+            sigma_mm: sigma_m * 1e3,
+            ruler_sigma_mm: ruler_sigma_m.unwrap_or(0.0) * 1e3,
+            nominal_mm: change_m.hypot(sigma_m) * 1e3,
+        }))
+    }
+}
+
 /// Mean, standard deviation and maximum over some postures of what [`PoseSigma`] holds for each.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PoseSigmaSummary {
@@ -49,6 +77,8 @@ pub struct PoseSigmaSummary {
     pub postures: usize,
     /// How far the calibration moves the camera, after the base's gauge, mm.
     pub camera_change_mm: Statistics,
+    /// What the position error of the camera is about, with the base frame fitted to the postures; `null` where the estimator gives no covariance.
+    pub registered: Option<RegisteredError>,
     /// Standard deviation of the camera's position, mm.
     pub camera_sigma_mm: Option<Statistics>,
     /// Standard deviation of the camera's orientation, degrees.
@@ -61,7 +91,7 @@ pub struct PoseSigmaSummary {
 
 impl PoseSigmaSummary {
     /// Over the postures of one source; `None` where there are none.
-    pub fn of(poses: &[PoseSigma], source: PostureSource) -> Option<Self> {
+    pub fn of(poses: &[PoseSigma], source: PostureSource, registered: Option<RegisteredError>) -> Option<Self> {
         let poses: Vec<&PoseSigma> = poses.iter().filter(|pose| pose.source == source).collect();
         let over = |value: &dyn Fn(&PoseSigma) -> Option<f64>| {
             let values: Option<Vec<f64>> = poses.iter().map(|pose| value(pose)).collect();
@@ -70,6 +100,7 @@ impl PoseSigmaSummary {
         (!poses.is_empty()).then(|| PoseSigmaSummary {
             postures: poses.len(),
             camera_change_mm: over(&|pose| Some(pose.camera_change_mm)).unwrap_or_default(),
+            registered,
             camera_sigma_mm: over(&|pose| pose.camera_sigma_mm),
             camera_sigma_deg: over(&|pose| pose.camera_sigma_deg),
             flange_sigma_mm: over(&|pose| pose.flange_sigma_mm),
@@ -81,15 +112,33 @@ impl PoseSigmaSummary {
 /// Postures over the workspace: enough for a 95th percentile, and done in milliseconds.
 const WORKSPACE_POSTURES: usize = 256;
 
-/// The table over recorded postures, then over the workspace (arms with joint values only).
-pub fn pose_sigmas(dataset: &Dataset, calibration: &Calibration) -> Result<Vec<PoseSigma>, RunError> {
+/// What is known of the poses of flange and camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseSigmas {
+    /// Over recorded postures, then over the workspace (arms with joint values only).
+    pub table: Vec<PoseSigma>,
+    /// Over the recorded postures.
+    pub recorded: Option<PoseSigmaSummary>,
+    /// Over the workspace; `None` for flange poses.
+    pub workspace: Option<PoseSigmaSummary>,
+}
+
+/// The table over recorded postures, then over the workspace (arms with joint values only), and both in short.
+pub fn pose_sigmas(dataset: &Dataset, calibration: &Calibration) -> Result<PoseSigmas, RunError> {
+    let nominal = &dataset.rig;
     let recorded: Vec<Posture> = dataset.records.iter().map(|record| record.posture.clone()).collect();
-    let mut table = table(&dataset.rig, calibration, PostureSource::Recorded, &recorded)?;
-    if let Some(robot) = dataset.rig.robot.as_ref().filter(|_| dataset.has_joints()) {
+    let mut table = table(nominal, calibration, PostureSource::Recorded, &recorded)?;
+    let registered = RegisteredError::of(nominal, calibration, &recorded)?;
+    let of_recorded = PoseSigmaSummary::of(&table, PostureSource::Recorded, registered);
+    let mut workspace = None;
+    if let Some(robot) = nominal.robot.as_ref().filter(|_| dataset.has_joints()) {
         let spread = spread_postures(robot, &recorded, WORKSPACE_POSTURES);
-        table.extend(self::table(&dataset.rig, calibration, PostureSource::Workspace, &spread)?);
+        let rows = self::table(nominal, calibration, PostureSource::Workspace, &spread)?;
+        let registered = RegisteredError::of(nominal, calibration, &spread)?;
+        workspace = PoseSigmaSummary::of(&rows, PostureSource::Workspace, registered);
+        table.extend(rows);
     }
-    Ok(table)
+    Ok(PoseSigmas { table, recorded: of_recorded, workspace })
 }
 
 fn table(

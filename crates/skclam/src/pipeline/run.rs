@@ -2,10 +2,11 @@
 
 use super::gather::{Gathered, gather};
 use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
-use super::verdict::unexplained;
+use super::sentences::verdict_sentence;
+use super::verdict::{Evidence, VerdictCase};
 use super::{
-    Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmaSummary, PostureSource, RunError, Scale, Verdict,
-    VerdictGrade, build_maps, calibrate, hold_out, localize, map_coverage, pose_sigmas, surface_agreement,
+    Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmas, RunError, Scale, build_maps, calibrate, causes,
+    hold_out, judge, localize, map_coverage, pose_sigmas, surface_agreement, worst,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
@@ -54,7 +55,7 @@ pub struct Outcome {
 
 /// Calibrates, localizes and maps: the method of section 3 in its order.
 pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let (mut outcome, own) = estimate(dataset, config, progress)?;
+    let (mut outcome, judging) = estimate(dataset, config, progress)?;
     let nominal = localize(dataset, &dataset.rig)?;
     // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the poses alone differ.
     let corrected = Dataset { rig: Rig { depth: outcome.rig.depth, ..dataset.rig.clone() }, ..dataset.clone() };
@@ -79,43 +80,44 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
         outcome.report.map = sample_map(dataset, &outcome.rig, outcome.mask.as_ref(), samples)?;
         progress.step();
         let [agreement_calibrated, agreement_nominal] = [calibrated.surfaces, nominal.surfaces];
-        if let (Some(after), Some(before)) = (agreement_calibrated, agreement_nominal)
-            && after.median_mm > before.median_mm * WORSE_AGREEMENT
-        {
-            outcome.summary.warnings.push(format!(
-                "the depth images agree less at the calibrated poses ({:.2} mm apart in the median) than at the nominal ones ({:.2} mm): \
-                 the matches and the depth contradict each other; hold more parameters (--free) or record more diverse postures",
-                after.median_mm, before.median_mm
-            ));
-        }
         let mask = outcome.mask.as_ref();
         let coverage = map_coverage(dataset, &calibrated_poses, &outcome.rig, mask, config.cloud.filter)?;
         outcome.summary.map =
             Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated, coverage });
     }
-    outcome.summary.judge(own);
+    judging.conclude(&mut outcome);
     Ok(outcome)
 }
-
-/// From this ratio on the depth images are said to agree less.
-const WORSE_AGREEMENT: f64 = 1.05;
 
 /// Calibrates and localizes.
 pub fn run_without_map(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
-    let (mut outcome, own) = estimate(dataset, config, progress)?;
-    outcome.summary.judge(own);
+    let (mut outcome, judging) = estimate(dataset, config, progress)?;
+    judging.conclude(&mut outcome);
     Ok(outcome)
 }
 
-/// The same, with the grade that the estimate and its held-out postures alone call for.
-fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, VerdictGrade), RunError> {
+/// What the checks of a run follow from, besides its summary.
+struct Judging {
+    evidence: Evidence,
+    case: VerdictCase,
+}
+
+impl Judging {
+    fn conclude(self, outcome: &mut Outcome) {
+        outcome.summary.reasons = judge(&outcome.summary, &self.evidence, &self.case, &outcome.calibration.warnings);
+        outcome.summary.grade = worst(&outcome.summary.reasons);
+    }
+}
+
+/// The estimate, judged on held-out postures.
+fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, Judging), RunError> {
     let Gathered { images, pairs, data, tracks, mut board, mut told, camera_fixed } =
         gather(dataset, config, progress)?;
     let mut calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
     }
-    let held_out = match unexplained(&calibration) {
+    let held_out = match Evidence::of(&calibration, None, None, dataset.has_joints()).is_unexplained() {
         // Long fits that cannot succeed would not change the verdict.
         true => Err("it does not explain the postures that it was fitted to".to_owned()),
         false => hold_out(dataset, &data, &calibration, config, progress)?,
@@ -127,11 +129,13 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     if let Some(jackknife) = held_out.as_ref().and_then(|held_out| held_out.jackknife) {
         calibration.widen(jackknife.variance_factor);
     }
-    let pose_sigmas = pose_sigmas(dataset, &calibration)?;
-    let [recorded_poses, workspace_poses] =
-        [PostureSource::Recorded, PostureSource::Workspace].map(|source| PoseSigmaSummary::of(&pose_sigmas, source));
+    let PoseSigmas { table: pose_sigmas, recorded: recorded_poses, workspace: workspace_poses } =
+        pose_sigmas(dataset, &calibration)?;
     let scale = Scale::of(dataset, &data, &calibration, &pose_sigmas);
-    let Verdict { grade, sentence } = Verdict::of(&calibration, held_out.as_ref(), recorded_poses.as_ref(), &scale);
+    let causes = causes(dataset, &calibration);
+    let registered = recorded_poses.as_ref().and_then(|poses| poses.registered);
+    let evidence = Evidence::of(&calibration, held_out.as_ref(), registered, dataset.has_joints());
+    let case = evidence.case(causes.first());
     let rig = calibration.model.corrected_rig();
     let trajectory = localize(dataset, &rig)?;
     let (mask, camera_fixed) = match camera_fixed {
@@ -145,8 +149,11 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     let summary = Summary {
         program: "skclam".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        verdict: sentence,
-        grade,
+        verdict: verdict_sentence(&case),
+        grade: case.grade(),
+        case: case.clone(),
+        evidence: evidence.clone(),
+        causes,
         reasons: Vec::new(),
         scale,
         rig: dataset.rig.name.clone(),
@@ -188,7 +195,10 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         stages: Vec::new(),
         peak_memory_mib: None,
     };
-    Ok((Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary, report }, grade))
+    Ok((
+        Outcome { calibration, rig, trajectory, mask, pose_sigmas, maps: None, summary, report },
+        Judging { evidence, case },
+    ))
 }
 
 /// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the

@@ -1,0 +1,250 @@
+//! What the errors of single postures have in common: score tests of the usual causes.
+//!
+//! Errors of single postures are taken as independent normal numbers `e` with variances `D`. A cause adds a pattern to them, `e = e' + B g` with few numbers `g`: a
+//! step in time of one joint, a camera that slipped, a clock that is late, gears, compliance. With the posterior mean `e` and covariance `C` at `g = 0`, the score of the
+//! marginal likelihood is `s = B^T D^-1 e`, its information `M = B^T (D^-1 - D^-1 C D^-1) B`, the estimate `M^-1 s`, and twice the gain of the logarithm of the likelihood
+//! `s^T M^-1 s` (Rao's score test; Breslow and Clayton, "Approximate inference in generalized linear mixed models", 1993). Nothing is refitted.
+
+use crate::motion::Motion;
+use crate::{CalibrationError, Model, MountComponent, Parameter, PostureErrorKnowledge};
+use nalgebra::{DMatrix, DVector, Vector6};
+use serde::{Deserialize, Serialize};
+use skclam_rig::JointReading;
+
+/// What posture errors may have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum ErrorPattern {
+    /// A joint's zero moved: from a posture on it is off by as much more. Radians (metres for a prismatic joint).
+    JointStep {
+        /// Counted from 0.
+        joint: usize,
+        /// Position of the first posture after it.
+        from: usize,
+    },
+    /// The camera moved on the flange: from a posture on it sits elsewhere. Radians: the angle by which it turned.
+    CameraSlip {
+        /// Position of the first posture after it.
+        from: usize,
+        /// How far it moved, metres.
+        translation_m: f64,
+    },
+    /// Joints were read too early or too late. Seconds.
+    TimeOffset,
+    /// A transmission error with the period of a joint's turn. Radians: its amplitude.
+    Transmission {
+        /// Counted from 0.
+        joint: usize,
+        /// 1 for the period of a turn, 2 for half of it.
+        harmonic: u32,
+    },
+    /// A joint gives way under the arm's weight. Radians a metre of gravity's lever arm.
+    Compliance {
+        /// Counted from 0.
+        joint: usize,
+    },
+}
+
+/// A pattern that the posture errors have.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PatternFinding {
+    /// Which.
+    pub pattern: ErrorPattern,
+    /// Its size, in the unit of the pattern.
+    pub size: f64,
+    /// Sigma of that.
+    pub sigma: f64,
+    /// Twice the gain of the logarithm of the likelihood: chi squared with `freedom` degrees of freedom where the pattern is not there.
+    pub chi_squared: f64,
+    /// Numbers of the pattern.
+    pub freedom: usize,
+}
+
+/// Postures before and after a step at least.
+const MIN_AROUND_STEP: usize = 3;
+/// Twice the gain of the log-likelihood from which a pattern of one number is believed: one in a million by chance alone, so that the number of patterns that are tried and
+/// errors that are not quite normal do not matter.
+const BELIEVED: f64 = 24.0;
+/// The same for each further number.
+const BELIEVED_PER_NUMBER: f64 = 3.0;
+
+/// The believed patterns, the one that explains most first.
+pub(crate) fn error_patterns(
+    model: &Model,
+    motion: &Motion,
+    knowledge: &PostureErrorKnowledge,
+) -> Result<Vec<PatternFinding>, CalibrationError> {
+    let tests = ScoreTests::new(knowledge);
+    let postures = motion.len();
+    let mut found = Vec::new();
+    if motion.has_joints() {
+        for joint in 0..knowledge.components {
+            found.extend(tests.joint_step(joint, postures));
+            let readings: Vec<JointReading> = (0..postures).map(|at| motion.readings(at)[joint]).collect();
+            let column = |value: &dyn Fn(&JointReading) -> f64| {
+                let mut column = DVector::zeros(knowledge.mean.len());
+                readings.iter().enumerate().for_each(|(at, r)| column[at * knowledge.components + joint] = value(r));
+                column
+            };
+            for harmonic in [1u32, 2] {
+                let angle = |r: &JointReading| f64::from(harmonic) * r.value;
+                let both = [column(&|r| angle(r).sin()), column(&|r| angle(r).cos())];
+                found.extend(tests.pattern(ErrorPattern::Transmission { joint, harmonic }, &both));
+            }
+            found.extend(tests.pattern(ErrorPattern::Compliance { joint }, &[column(&|r| r.lever)]));
+        }
+        let mut late = DVector::zeros(knowledge.mean.len());
+        for at in 0..postures {
+            let rates = motion.readings(at).iter().map(|reading| reading.rate).enumerate();
+            rates.for_each(|(joint, rate)| late[at * knowledge.components + joint] = rate);
+        }
+        found.extend(tests.pattern(ErrorPattern::TimeOffset, &[late]));
+    }
+    found.extend(tests.camera_slip(model, motion)?);
+    found.retain(|finding| finding.chi_squared > BELIEVED + BELIEVED_PER_NUMBER * (finding.freedom - 1) as f64);
+    found.sort_by(|a, b| (b.chi_squared - 2.0 * b.freedom as f64).total_cmp(&(a.chi_squared - 2.0 * a.freedom as f64)));
+    Ok(found)
+}
+
+struct ScoreTests {
+    components: usize,
+    /// `D^-1 e`.
+    score: DVector<f64>,
+    /// `D^-1 - D^-1 C D^-1`.
+    information: DMatrix<f64>,
+    /// Sigma of each error.
+    sigmas: Vec<f64>,
+}
+
+/// The best numbers of a pattern.
+struct Fit {
+    numbers: DVector<f64>,
+    covariance: DMatrix<f64>,
+    chi_squared: f64,
+}
+
+impl ScoreTests {
+    fn new(knowledge: &PostureErrorKnowledge) -> Self {
+        let count = knowledge.mean.len();
+        let weight = |k: usize| knowledge.sigmas[k].powi(-2);
+        let information = DMatrix::from_fn(count, count, |i, j| {
+            let own = if i == j { weight(i) } else { 0.0 };
+            own - weight(i) * knowledge.covariance[(i, j)] * weight(j)
+        });
+        ScoreTests {
+            components: knowledge.components,
+            score: DVector::from_fn(count, |k, _| weight(k) * knowledge.mean[k]),
+            information,
+            sigmas: knowledge.sigmas.clone(),
+        }
+    }
+
+    fn solve(score: &DVector<f64>, information: &DMatrix<f64>) -> Option<Fit> {
+        let covariance = crate::bundle::adjust::inverse(information)?;
+        let numbers = &covariance * score;
+        let chi_squared = score.dot(&numbers);
+        (chi_squared.is_finite() && chi_squared > 0.0).then_some(Fit { numbers, covariance, chi_squared })
+    }
+
+    fn pattern(&self, pattern: ErrorPattern, columns: &[DVector<f64>]) -> Option<PatternFinding> {
+        let design = DMatrix::from_columns(columns);
+        if columns.iter().any(|column| column.amax() == 0.0) {
+            return None;
+        }
+        let information = design.transpose() * (&self.information * &design);
+        let fit = Self::solve(&(design.transpose() * &self.score), &information)?;
+        let (size, sigma) = amplitude(&fit, columns.len());
+        Some(PatternFinding { pattern, size, sigma, chi_squared: fit.chi_squared, freedom: columns.len() })
+    }
+
+    /// The step of a joint that explains most.
+    fn joint_step(&self, joint: usize, postures: usize) -> Option<PatternFinding> {
+        let at = |posture: usize| posture * self.components + joint;
+        let mut best: Option<PatternFinding> = None;
+        let (mut score, mut information) = (0.0, 0.0);
+        for from in (0..postures).rev() {
+            score += self.score[at(from)];
+            let later: f64 = (from + 1..postures).map(|other| self.information[(at(from), at(other))]).sum();
+            information += self.information[(at(from), at(from))] + 2.0 * later;
+            if from < MIN_AROUND_STEP || postures - from < MIN_AROUND_STEP || information <= 0.0 {
+                continue;
+            }
+            let chi_squared = score * score / information;
+            if best.is_none_or(|best| chi_squared > best.chi_squared) {
+                best = Some(PatternFinding {
+                    pattern: ErrorPattern::JointStep { joint, from },
+                    size: score / information,
+                    sigma: information.sqrt().recip(),
+                    chi_squared,
+                    freedom: 2,
+                });
+            }
+        }
+        best
+    }
+
+    /// The slip of the camera that explains most. A camera that sits elsewhere looks like joints (or a flange) that are off by what moves it as much.
+    fn camera_slip(&self, model: &Model, motion: &Motion) -> Result<Option<PatternFinding>, CalibrationError> {
+        let mount = MountComponent::ALL.map(Parameter::Mount);
+        let postures = motion.len();
+        let mut designs = Vec::with_capacity(postures);
+        for posture in 0..postures {
+            let linear = motion.linearize(model, &mount, posture, &[])?;
+            designs.push(self.errors_like(posture, &linear.by_joint, &linear.by_parameter));
+        }
+        let block = |a: usize, b: usize| {
+            let c = self.components;
+            designs[a].transpose() * self.information.view((a * c, b * c), (c, c)) * &designs[b]
+        };
+        let mut best: Option<(usize, Fit)> = None;
+        let mut score = DVector::zeros(6);
+        let mut information = DMatrix::zeros(6, 6);
+        for from in (0..postures).rev() {
+            score += designs[from].transpose() * self.score.rows(from * self.components, self.components);
+            information += block(from, from);
+            for other in from + 1..postures {
+                let cross = block(from, other);
+                information += &cross + cross.transpose();
+            }
+            if from < MIN_AROUND_STEP || postures - from < MIN_AROUND_STEP {
+                continue;
+            }
+            let Some(fit) = Self::solve(&score, &information) else { continue };
+            if best.as_ref().is_none_or(|(_, best)| fit.chi_squared > best.chi_squared) {
+                best = Some((from, fit));
+            }
+        }
+        Ok(best.map(|(from, fit)| {
+            let (size, sigma) = amplitude(&fit, 3);
+            let translation_m = fit.numbers.rows(3, 3).norm();
+            let pattern = ErrorPattern::CameraSlip { from, translation_m };
+            PatternFinding { pattern, size, sigma, chi_squared: fit.chi_squared, freedom: 7 }
+        }))
+    }
+
+    /// The likeliest errors of a posture (6 columns) that move the camera as the mount's components do.
+    fn errors_like(&self, posture: usize, by_error: &[Vector6<f64>], by_mount: &[Vector6<f64>]) -> DMatrix<f64> {
+        let c = self.components;
+        let jacobian = DMatrix::from_fn(6, c, |row, k| by_error[k][row]);
+        let wanted = DMatrix::from_fn(6, 6, |row, k| by_mount[k][row]);
+        let variances = DVector::from_fn(c, |k, _| self.sigmas[posture * c + k].powi(2));
+        let spread = &jacobian * DMatrix::from_diagonal(&variances) * jacobian.transpose();
+        // Directions that no joint moves well are left to the damping.
+        let damping = 1e-4 * spread.trace() / 6.0;
+        let damped = spread + DMatrix::identity(6, 6) * damping.max(f64::MIN_POSITIVE);
+        let Some(factor) = damped.cholesky() else { return DMatrix::zeros(c, 6) };
+        DMatrix::from_diagonal(&variances) * jacobian.transpose() * factor.solve(&wanted)
+    }
+}
+
+/// Norm of the first `count` numbers (with its sign where it is one), and its sigma.
+fn amplitude(fit: &Fit, count: usize) -> (f64, f64) {
+    if count == 1 {
+        return (fit.numbers[0], fit.covariance[(0, 0)].max(0.0).sqrt());
+    }
+    let part = fit.numbers.rows(0, count).into_owned();
+    let norm = part.norm();
+    let covariance = fit.covariance.view((0, 0), (count, count));
+    let along = if norm > 0.0 { &part / norm } else { part.clone() };
+    (norm, along.dot(&(covariance * &along)).max(0.0).sqrt())
+}
