@@ -14,6 +14,9 @@ pub struct GridCorner {
     pub x: f64,
     /// Position, px.
     pub y: f64,
+    /// Standard deviation of the position along an axis, px: from the image's noise and the gradients about the corner, and from how far
+    /// the board's corners scatter about a smoothly bent plane beyond that.
+    pub sigma_px: f64,
 }
 
 /// An inner corner of the board.
@@ -27,6 +30,8 @@ pub struct BoardCorner {
     pub x: f64,
     /// Position, px.
     pub y: f64,
+    /// As [`GridCorner::sigma_px`].
+    pub sigma_px: f64,
 }
 
 /// One way to count: the grid is turned, then shifted.
@@ -62,6 +67,8 @@ pub struct FoundBoard {
     pub labellings: Vec<Labelling>,
     /// Markers that were read.
     pub markers: usize,
+    /// RMS of the corners' sigmas, px.
+    pub sigma_px: f64,
 }
 
 impl FoundBoard {
@@ -74,7 +81,7 @@ impl FoundBoard {
                 let (column, row) = labelling.of(corner.column, corner.row);
                 let (column, row) = (u32::try_from(column).ok()?, u32::try_from(row).ok()?);
                 let inside = column < layout.columns && row < layout.rows;
-                inside.then_some(BoardCorner { column, row, x: corner.x, y: corner.y })
+                inside.then_some(BoardCorner { column, row, x: corner.x, y: corner.y, sigma_px: corner.sigma_px })
             })
             .collect();
         corners.sort_by_key(|corner| (corner.row, corner.column));
@@ -141,9 +148,10 @@ mod tests {
         assert_eq!(lying[0].turns % 2, 1);
         // Every labelling counts each corner once.
         let found = FoundBoard {
-            corners: (0..8).map(|c| GridCorner { column: c, row: 10, x: 0.0, y: 0.0 }).collect(),
+            corners: (0..8).map(|c| GridCorner { column: c, row: 10, x: 0.0, y: 0.0, sigma_px: 0.1 }).collect(),
             labellings: lying.clone(),
             markers: 0,
+            sigma_px: 0.1,
         };
         assert_eq!(found.labelled(&lying[0], &layout(11, 8)).len(), 8);
     }

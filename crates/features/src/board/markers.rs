@@ -3,7 +3,7 @@
 use super::grid::Grid;
 use super::labelling::Labelling;
 use super::saddle::Plane;
-use super::{BoardLayout, MarkerLayout};
+use super::{BoardLayout, Dictionary, MarkerLayout};
 use nalgebra::{Matrix3, SMatrix, SVector};
 use std::collections::BTreeMap;
 
@@ -55,7 +55,7 @@ pub(super) fn read(
 
 /// Column and row of the white squares' first corners, in the order of the markers' numbers. Squares at the board's edge have their first
 /// corner outside: (-1, ...).
-fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
+pub(super) fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
     let white = if first_is_black { 1 } else { 0 };
     (0..=layout.rows as i32)
         .flat_map(|row| (0..=layout.columns as i32).map(move |column| (column, row)))
@@ -86,18 +86,31 @@ fn read_cell(
     let corner = |dr: i32, dc: i32| grid.at(row + dr, column + dc);
     let corners = [corner(0, 0)?, corner(0, 1)?, corner(1, 1)?, corner(1, 0)?];
     let image_from_square = homography(&corners)?;
-    let side = markers.dictionary.side() + 2;
     let margin = 0.5 * (1.0 - markers.marker_in_square);
-    let bit = markers.marker_in_square / side as f64;
+    let side = markers.marker_in_square;
+    let square_from_marker = Matrix3::new(side, 0.0, margin, 0.0, side, margin, 0.0, 0.0, 1.0);
+    read_marker(image, &(image_from_square * square_from_marker), &markers.dictionary, count)
+}
+
+/// The marker in a quadrilateral of the image, given by the homography from the unit square: its number among the first `count`, and its quarter turns
+/// clockwise against the square.
+pub(super) fn read_marker(
+    image: &Plane,
+    image_from_marker: &Matrix3<f64>,
+    dictionary: &Dictionary,
+    count: usize,
+) -> Option<(usize, usize)> {
+    let side = dictionary.side() + 2;
+    let bit = 1.0 / side as f64;
     let mut means = vec![0.0f32; side * side];
     for (at, mean) in means.iter_mut().enumerate() {
         let (bit_row, bit_column) = (at / side, at % side);
         for k in 0..SAMPLES * SAMPLES {
             // The inner half of a bit.
             let offset = |k: usize| 0.25 + 0.5 * (k as f64 + 0.5) / SAMPLES as f64;
-            let x = margin + bit * (bit_column as f64 + offset(k % SAMPLES));
-            let y = margin + bit * (bit_row as f64 + offset(k / SAMPLES));
-            let p = image_from_square * nalgebra::Vector3::new(x, y, 1.0);
+            let x = bit * (bit_column as f64 + offset(k % SAMPLES));
+            let y = bit * (bit_row as f64 + offset(k / SAMPLES));
+            let p = image_from_marker * nalgebra::Vector3::new(x, y, 1.0);
             *mean += image.sample((p.x / p.z) as f32, (p.y / p.z) as f32)?;
         }
         *mean /= (SAMPLES * SAMPLES) as f32;
@@ -114,7 +127,7 @@ fn read_cell(
     let bits = (0..means.len())
         .filter(|&at| !on_border(at))
         .fold(0u64, |bits, at| bits << 1 | u64::from(means[at] > threshold));
-    markers.dictionary.find(bits, count)
+    dictionary.find(bits, count)
 }
 
 /// Between the dark and the bright values, where the two classes are farthest apart (Otsu 1979); `None` where all are alike.

@@ -12,9 +12,13 @@
 
 mod detect;
 pub mod dictionary;
+mod from_markers;
 mod grid;
 mod labelling;
 mod markers;
+mod pattern;
+mod plane;
+mod quads;
 mod saddle;
 mod subpixel;
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! solution is repeated until it stands still.
 
 use super::saddle::Plane;
+use nalgebra::{Matrix2, Vector2};
 
 /// Repetitions at most.
 const ROUNDS: usize = 30;
@@ -58,6 +59,60 @@ pub(super) fn refine(image: &Plane, start: (f64, f64), radius: f64) -> Option<(f
     }
     Some((x, y))
 }
+
+/// Scatter along an axis of a corner that was refined with the same `radius`, px for each grey level of white noise.
+///
+/// To first order noise `e` moves the corner by `N^-1 sum w (dg (g . d) + g (dg . d))` with `d = p - c`, `N = sum w g g^T` and `dg` the
+/// gradient of `e`; neighbouring gradients share pixels, so the sum is ordered by pixels.
+pub(super) fn noise_gain(image: &Plane, (x, y): (f64, f64), radius: f64) -> Option<f64> {
+    let reach = radius.ceil() as isize + 1;
+    let (width, height) = (image.width as isize, image.height as isize);
+    let (cx, cy) = (x.round() as isize, y.round() as isize);
+    let (left, right) = ((cx - reach).max(1), (cx + reach).min(width - 2));
+    let (top, bottom) = ((cy - reach).max(1), (cy + reach).min(height - 2));
+    if left > right || top > bottom {
+        return None;
+    }
+    let across = (right - left + 3) as usize;
+    let mut shifts = vec![Vector2::<f64>::zeros(); across * (bottom - top + 3) as usize];
+    let mut normal = Matrix2::<f64>::zeros();
+    for v in top..=bottom {
+        for u in left..=right {
+            let d = Vector2::new(u as f64 - x, v as f64 - y);
+            let squared = d.norm_squared();
+            if squared > radius * radius {
+                continue;
+            }
+            let weight = (-2.0 * squared / (radius * radius)).exp() * (1.0 - squared / (radius * radius));
+            let (gx, gy) = gradient(image, u as usize, v as usize);
+            let g = Vector2::new(gx, gy);
+            normal += weight * g * g.transpose();
+            let offset = g.dot(&d);
+            for (k, tap) in TAPS.iter().enumerate() {
+                let tap = Vector2::new(tap.0, tap.1) / 32.0;
+                let at = ((v - top) as usize + k / 3) * across + (u - left) as usize + k % 3;
+                shifts[at] += weight * (tap * offset + g * tap.dot(&d));
+            }
+        }
+    }
+    let inverse = normal.try_inverse()?;
+    let spread = shifts.iter().map(|shift| shift * shift.transpose()).sum::<Matrix2<f64>>();
+    let covariance = inverse * spread * inverse;
+    Some((0.5 * covariance.trace()).sqrt()).filter(|gain| gain.is_finite())
+}
+
+/// Scharr's derivatives along x and y of the nine pixels about one, times 32.
+const TAPS: [(f64, f64); 9] = [
+    (-3.0, -3.0),
+    (0.0, -10.0),
+    (3.0, -3.0),
+    (-10.0, 0.0),
+    (0.0, 0.0),
+    (10.0, 0.0),
+    (-3.0, 3.0),
+    (0.0, 10.0),
+    (3.0, 3.0),
+];
 
 /// Scharr's derivative, grey levels a pixel.
 fn gradient(image: &Plane, x: usize, y: usize) -> (f64, f64) {
