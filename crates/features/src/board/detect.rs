@@ -1,12 +1,14 @@
 //! The detector from image to labelled corners.
 
 use super::grid::{Grid, grids};
-use super::labelling::possible;
+use super::labelling::{keeps_colours, possible};
+use super::pattern::Pattern;
 use super::saddle::{Plane, candidates};
-use super::{BoardLayout, FoundBoard, GridCorner, from_markers, markers, plane, subpixel};
+use super::{BoardLayout, FoundBoard, GridCorner, Labelling, MarkerLayout, from_markers, markers, plane, subpixel};
 use crate::FeaturesError;
 use image::GrayImage;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Settings of the board detector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,6 +36,8 @@ impl Default for BoardOptions {
 const MOST_PIXELS: u64 = 1 << 28;
 /// Half the window of the refinement at least, px.
 const LEAST_WINDOW_PX: f64 = 2.5;
+/// Where a marker leaves a corner less than this, the gradients about it are no longer its own, and the whole print about it is aligned; px.
+const MIN_FREE_PX: f64 = 5.0;
 /// Grids that are looked at in an image.
 const GRIDS: usize = 6;
 
@@ -71,7 +75,7 @@ pub fn detect_board(
     if let Some(markers) = &layout.markers
         && !is_whole(&best)
     {
-        for grid in from_markers::grids(&full, layout, markers, |step_px| search.window_px(step_px)) {
+        for grid in from_markers::grids(&full, layout, markers) {
             search.judge(&grid, &mut best);
         }
     }
@@ -155,7 +159,7 @@ impl Search<'_> {
         if labellings.is_empty() {
             return;
         }
-        let Some(corners) = self.on_a_plane(self.refined(grid)) else { return };
+        let Some(corners) = self.on_a_plane(self.refined(grid, &labellings[0])) else { return };
         if larger(corners.len()) {
             let squares = corners.iter().map(|corner| corner.sigma_px.powi(2)).sum::<f64>();
             let sigma_px = (squares / corners.len() as f64).sqrt();
@@ -163,20 +167,28 @@ impl Search<'_> {
         }
     }
 
-    /// Half the window of the refinement for a square's width, px.
-    fn window_px(&self, step_px: f64) -> f64 {
-        let free = self.layout.markers.as_ref().map_or(0.5, from_markers::symmetric_reach);
-        (self.options.window.min(free) * step_px).clamp(LEAST_WINDOW_PX, self.options.most_window_px)
-    }
-
-    /// The grid's corners, refined, with the sigma that the image's noise gives them; those that cannot be are left out.
-    fn refined(&self, grid: &Grid) -> Vec<(GridCorner, f64)> {
+    /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those that cannot be are left out.
+    fn refined(&self, grid: &Grid, labelling: &Labelling) -> Vec<(GridCorner, f64)> {
+        let print = self.layout.markers.as_ref().map(|markers| {
+            // By its markers alone a board may begin in two ways; about its corners it looks the same in both.
+            Print::new(self.layout, markers, grid, labelling)
+        });
         let refine = |(&(row, column), &(x, y)): (&(i32, i32), &(f32, f32))| {
             let step_px = f64::from(grid.step(row, column)?);
-            let radius = self.window_px(step_px);
-            let (x, y) = subpixel::refine(self.full, (f64::from(x), f64::from(y)), radius)?;
-            let sigma_px = self.noise * subpixel::noise_gain(self.full, (x, y), radius)?;
-            Some((GridCorner { column, row, x, y, sigma_px }, step_px))
+            let free_px = self.layout.markers.as_ref().map_or(f64::MAX, |markers| {
+                // No marker may reach into the window: it begins half of what it leaves free from the corner, on both axes.
+                0.5 * (1.0 - markers.marker_in_square) * std::f64::consts::SQRT_2 * step_px
+            });
+            let (x, y, gain) = match &print {
+                Some(print) if free_px < MIN_FREE_PX => print.align(self.full, labelling.of(column, row))?,
+                _ => {
+                    let window_px = (self.options.window * step_px).min(free_px);
+                    let radius = window_px.clamp(LEAST_WINDOW_PX, self.options.most_window_px);
+                    let (x, y) = subpixel::refine(self.full, (f64::from(x), f64::from(y)), radius)?;
+                    (x, y, subpixel::noise_gain(self.full, (x, y), radius)?)
+                }
+            };
+            Some((GridCorner { column, row, x, y, sigma_px: self.noise * gain }, step_px))
         };
         grid.corners.iter().filter_map(refine).collect()
     }
@@ -201,5 +213,31 @@ impl Search<'_> {
             corner.sigma_px = (corner.sigma_px.powi(2) + excess).sqrt();
         }
         Some(kept)
+    }
+}
+
+/// The print of a ChArUco board over a grid that is counted.
+struct Print<'a> {
+    pattern: Pattern<'a>,
+    /// The grid's corners by the board's row and column.
+    corners: BTreeMap<(i32, i32), (f64, f64)>,
+}
+
+impl<'a> Print<'a> {
+    fn new(layout: &'a BoardLayout, markers: &'a MarkerLayout, grid: &Grid, labelling: &Labelling) -> Self {
+        let on_board = |(&(row, column), &(x, y)): (&(i32, i32), &(f32, f32))| {
+            let (column, row) = labelling.of(column, row);
+            ((row, column), (f64::from(x), f64::from(y)))
+        };
+        let pattern = Pattern::of(layout, markers, keeps_colours(grid, labelling));
+        Print { pattern, corners: grid.corners.iter().map(on_board).collect() }
+    }
+
+    /// Place and noise gain of a corner by the whole print about it.
+    fn align(&self, image: &Plane, (column, row): (i32, i32)) -> Option<(f64, f64, f64)> {
+        let h = from_markers::nearby(&self.corners, (row, column))?;
+        let place = *self.corners.get(&(row, column))?;
+        let found = self.pattern.align(image, (column, row), place, from_markers::axes(&h, (column, row)))?;
+        Some((found.x, found.y, found.noise_gain))
     }
 }

@@ -10,7 +10,7 @@ use super::pattern::Pattern;
 use super::plane::{Counted, homography, project};
 use super::quads::{Quad, dark_quads};
 use super::saddle::Plane;
-use super::{BoardLayout, MarkerLayout, subpixel};
+use super::{BoardLayout, MarkerLayout};
 use nalgebra::Matrix3;
 use std::collections::BTreeMap;
 
@@ -38,28 +38,15 @@ struct Placed {
     step_px: f64,
 }
 
-/// Half the window within which all is point-symmetric about a corner, in squares: the white margin and the markers' black borders. What is symmetric does
-/// not pull a corner aside, so the refinement may use it.
-pub(super) fn symmetric_reach(markers: &MarkerLayout) -> f64 {
-    let bit = markers.marker_in_square / (markers.dictionary.side() + 2) as f64;
-    0.5 * (1.0 - markers.marker_in_square) + bit
-}
-
 /// Grids over the markers of an image, counted as the board is; one for each way in which the board may begin.
-pub(super) fn grids(
-    image: &Plane,
-    layout: &BoardLayout,
-    markers: &MarkerLayout,
-    window_px: impl Fn(f64) -> f64,
-) -> Vec<Grid> {
+pub(super) fn grids(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout) -> Vec<Grid> {
     let read = read_all(image, layout, markers);
     // OpenCV before 4.6 began boards with an even number of rows of squares with a white one.
     let beginnings: &[bool] = if layout.rows % 2 == 1 { &[true, false] } else { &[true] };
     let grow = |first_is_black: &bool| {
         let pattern = Pattern::of(layout, markers, *first_is_black);
         let placed = agreeing(read.iter().filter_map(|marker| place(marker, &pattern, markers)).collect());
-        let growth = Growth { image, layout, pattern: &pattern, window_px: &window_px };
-        growth.grown(&placed)
+            Growth { image, layout, pattern: &pattern }.grown(&placed)
     };
     beginnings.iter().map(grow).filter(|grid| !grid.corners.is_empty()).collect()
 }
@@ -128,15 +115,13 @@ fn agreeing(placed: Vec<Placed>) -> Vec<Placed> {
 }
 
 /// What corners are looked for in.
-struct Growth<'a, W: Fn(f64) -> f64> {
+struct Growth<'a> {
     image: &'a Plane,
     layout: &'a BoardLayout,
     pattern: &'a Pattern<'a>,
-    /// Half the window of the refinement for a square's width, px.
-    window_px: &'a W,
 }
 
-impl<W: Fn(f64) -> f64> Growth<'_, W> {
+impl Growth<'_> {
     fn grown(&self, placed: &[Placed]) -> Grid {
         let mut predicted: BTreeMap<(i32, i32), Vec<&Matrix3<f64>>> = BTreeMap::new();
         for marker in placed {
@@ -196,23 +181,26 @@ impl<W: Fn(f64) -> f64> Growth<'_, W> {
         if !inside(row, self.layout.rows) || !inside(column, self.layout.columns) {
             return None;
         }
-        let (c, r) = (f64::from(column), f64::from(row));
-        let axis = |dc: f64, dr: f64| {
-            let (a, b) = (project(h, c + dc, r + dr), project(h, c - dc, r - dr));
-            (b.0 - a.0, b.1 - a.1)
-        };
-        // Differences over half a square each way.
-        let axes = [axis(-0.5, 0.0), axis(0.0, -0.5)];
+        let axes = axes(h, (column, row));
         let step_px = axes[0].0.hypot(axes[0].1).min(axes[1].0.hypot(axes[1].1));
-        let found = subpixel::refine(self.image, place, (self.window_px)(step_px))?;
-        let moved = (found.0 - place.0).hypot(found.1 - place.1);
-        let near = moved <= (MOVED * step_px).max(MIN_MOVED_PX);
-        (near && self.pattern.is_seen(self.image, (column, row), found, axes)).then_some(found)
+        let found = self.pattern.align(self.image, (column, row), place, axes)?;
+        let moved = (found.x - place.0).hypot(found.y - place.1);
+        (moved <= (MOVED * step_px).max(MIN_MOVED_PX)).then_some((found.x, found.y))
     }
 }
 
+/// How a column and a row change the place in the image about a corner, px.
+pub(super) fn axes(h: &Matrix3<f64>, (column, row): (i32, i32)) -> [(f64, f64); 2] {
+    let (c, r) = (f64::from(column), f64::from(row));
+    // Differences over half a square each way.
+    [(0.5, 0.0), (0.0, 0.5)].map(|(dc, dr)| {
+        let (a, b) = (project(h, c - dc, r - dr), project(h, c + dc, r + dr));
+        (b.0 - a.0, b.1 - a.1)
+    })
+}
+
 /// The homography through the known corners nearest to a place.
-fn nearby(corners: &BTreeMap<(i32, i32), (f64, f64)>, (row, column): (i32, i32)) -> Option<Matrix3<f64>> {
+pub(super) fn nearby(corners: &BTreeMap<(i32, i32), (f64, f64)>, (row, column): (i32, i32)) -> Option<Matrix3<f64>> {
     let mut nearest: Vec<(i32, Counted)> = corners
         .iter()
         .map(|(&(r, c), &(x, y))| {

@@ -1,17 +1,23 @@
-//! What is printed about a corner of a ChArUco board, and whether an image shows it.
+//! What is printed about a corner of a ChArUco board, whether an image shows it, and exactly where.
 
 use super::markers::marked_cells;
 use super::saddle::Plane;
 use super::{BoardLayout, MarkerLayout};
+use nalgebra::{Matrix4, Vector4};
 use std::collections::BTreeMap;
 
 /// Half the width of what is compared about a corner, in squares, and in pixels at least.
 const REACH: f64 = 0.3;
 const MIN_REACH_PX: f64 = 4.0;
-/// Points compared, each way.
-const POINTS: usize = 13;
+/// Steps of the alignment at most, and when it stands still, px.
+const ROUNDS: usize = 12;
+const STILL_PX: f64 = 1e-3;
+/// A print is not aligned farther than this from the best place of a whole pixel.
+const MAX_MOVED_PX: f64 = 1.5;
 /// The print is blurred by a box of this half width before it is compared, px.
 const BLUR_PX: f64 = 1.0;
+/// Samples of the print in that box, each way.
+const FINE: usize = 6;
 /// Correlation of print and image from which a corner is there.
 const MIN_CORRELATION: f64 = 0.6;
 /// Standard deviation of what the image shows below which nothing is compared, grey levels.
@@ -60,47 +66,116 @@ impl<'a> Pattern<'a> {
         f64::from(u8::from(white == Some(true)))
     }
 
-    /// Whether an image shows the print about a corner: (column, row) at `place`, and how a column and a row change that, px.
-    pub(super) fn is_seen(
+    /// The corner (column, row) near `place`, where the print fits the image best; `None` where the image does not show the print. `axes` is how a column and
+    /// a row change the place, px.
+    ///
+    /// Least squares of `image(p + d) = a print + b` over `d, a, b` (Lucas and Kanade, "An iterative image registration technique", 1981), from
+    /// the best of a few places about the first one.
+    pub(super) fn align(
         &self,
         image: &Plane,
         (column, row): (i32, i32),
         place: (f64, f64),
         axes: [(f64, f64); 2],
-    ) -> bool {
-        let length = |axis: (f64, f64)| axis.0.hypot(axis.1).max(1e-6);
-        let lengths = [length(axes[0]), length(axes[1])];
+    ) -> Option<Aligned> {
+        let print = self.patch((f64::from(column), f64::from(row)), axes);
+        let mut best = (f64::MIN, place);
+        for k in 0..25i32 {
+            let at = (place.0 + f64::from(k % 5 - 2), place.1 + f64::from(k / 5 - 2));
+            if let Some(found) = print.correlation(image, at)
+                && found > best.0
+            {
+                best = (found, at);
+            }
+        }
+        let mut aligned = Aligned { x: best.1.0, y: best.1.1, noise_gain: 0.0 };
+        for _ in 0..ROUNDS {
+            let (step, gain) = print.step(image, (aligned.x, aligned.y))?;
+            aligned = Aligned { x: aligned.x + step.0, y: aligned.y + step.1, noise_gain: gain };
+            let moved = (aligned.x - best.1.0).hypot(aligned.y - best.1.1);
+            if moved.is_nan() || moved > MAX_MOVED_PX {
+                return None;
+            }
+            if step.0.hypot(step.1) < STILL_PX {
+                break;
+            }
+        }
+        let seen = print.correlation(image, (aligned.x, aligned.y))? >= MIN_CORRELATION;
+        seen.then_some(aligned)
+    }
+
+    /// The print about a corner as a camera would see it.
+    fn patch(&self, (column, row): (f64, f64), axes: [(f64, f64); 2]) -> Patch {
+        let lengths = axes.map(|axis| axis.0.hypot(axis.1).max(1e-6));
         let reach = lengths.map(|length| REACH.max(MIN_REACH_PX / length));
         let blur = lengths.map(|length| BLUR_PX / length);
-        let offset = |k: usize| 2.0 * k as f64 / (POINTS - 1) as f64 - 1.0;
-        let (mut print, mut seen) = (Vec::with_capacity(POINTS * POINTS), Vec::with_capacity(POINTS * POINTS));
-        for at in 0..POINTS * POINTS {
-            let (u, v) = (reach[0] * offset(at % POINTS), reach[1] * offset(at / POINTS));
-            let x = place.0 + u * axes[0].0 + v * axes[1].0;
-            let y = place.1 + u * axes[0].1 + v * axes[1].1;
-            let Some(value) = image.sample(x as f32, y as f32) else { return false };
-            seen.push(f64::from(value));
+        // About a point a pixel.
+        let count = |k: usize| ((2.0 * reach[k] * lengths[k]).ceil() as usize).clamp(9, 41);
+        let (across, down) = (count(0), count(1));
+        let mut patch = Patch { offsets: Vec::with_capacity(across * down), print: Vec::with_capacity(across * down) };
+        for at in 0..across * down {
+            let offset = |k: usize, count: usize| 2.0 * k as f64 / (count - 1) as f64 - 1.0;
+            let (u, v) = (reach[0] * offset(at % across, across), reach[1] * offset(at / across, down));
             let mut sum = 0.0;
-            for k in 0..25 {
-                let spread = |k: usize| 0.5 * k as f64 - 1.0;
-                let (du, dv) = (blur[0] * spread(k % 5), blur[1] * spread(k / 5));
-                sum += self.at(f64::from(column) + u + du, f64::from(row) + v + dv);
+            for k in 0..FINE * FINE {
+                // An even number: none is at the corner's own edges, which would count it to one side.
+                let spread = |k: usize| (2.0 * k as f64 + 1.0) / FINE as f64 - 1.0;
+                sum += self.at(column + u + blur[0] * spread(k % FINE), row + v + blur[1] * spread(k / FINE));
             }
-            print.push(sum / 25.0);
+            patch.offsets.push((u * axes[0].0 + v * axes[1].0, u * axes[0].1 + v * axes[1].1));
+            patch.print.push(sum / (FINE * FINE) as f64);
         }
-        correlation(&print, &seen).is_some_and(|found| found >= MIN_CORRELATION)
+        patch
     }
 }
 
-/// Pearson's correlation; `None` where the second list hardly varies.
-fn correlation(a: &[f64], b: &[f64]) -> Option<f64> {
-    let count = a.len() as f64;
-    let (mean_a, mean_b) = (a.iter().sum::<f64>() / count, b.iter().sum::<f64>() / count);
-    let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
-    for (a, b) in a.iter().zip(b) {
-        aa += (a - mean_a).powi(2);
-        ab += (a - mean_a) * (b - mean_b);
-        bb += (b - mean_b).powi(2);
+/// A corner where its print fits the image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aligned {
+    pub x: f64,
+    pub y: f64,
+    /// Scatter along an axis, px for each grey level of white noise.
+    pub noise_gain: f64,
+}
+
+/// What is printed at places about a corner.
+struct Patch {
+    /// From the corner, px.
+    offsets: Vec<(f64, f64)>,
+    print: Vec<f64>,
+}
+
+impl Patch {
+    /// Pearson's correlation of print and image; `None` where the image hardly varies or ends.
+    fn correlation(&self, image: &Plane, (x, y): (f64, f64)) -> Option<f64> {
+        let count = self.print.len() as f64;
+        let mut sums = [0.0; 5];
+        for (offset, print) in self.offsets.iter().zip(&self.print) {
+            let seen = f64::from(image.sample((x + offset.0) as f32, (y + offset.1) as f32)?);
+            let terms = [*print, seen, print * print, print * seen, seen * seen];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term / count);
+        }
+        let [a, b, aa, ab, bb] = sums;
+        let (aa, ab, bb) = (aa - a * a, ab - a * b, bb - b * b);
+        (bb > MIN_DEVIATION * MIN_DEVIATION && aa > 0.0).then(|| ab / (aa * bb).sqrt())
     }
-    ((bb / count).sqrt() >= MIN_DEVIATION && aa > 0.0).then(|| ab / (aa * bb).sqrt())
+
+    /// By how much the place should move, and how grey levels of noise move it.
+    fn step(&self, image: &Plane, (x, y): (f64, f64)) -> Option<((f64, f64), f64)> {
+        let mut normal = Matrix4::<f64>::zeros();
+        let mut right = Vector4::<f64>::zeros();
+        for (offset, print) in self.offsets.iter().zip(&self.print) {
+            let (u, v) = ((x + offset.0) as f32, (y + offset.1) as f32);
+            let seen = f64::from(image.sample(u, v)?);
+            let gx = 0.5 * f64::from(image.sample(u + 1.0, v)? - image.sample(u - 1.0, v)?);
+            let gy = 0.5 * f64::from(image.sample(u, v + 1.0)? - image.sample(u, v - 1.0)?);
+            let row = Vector4::new(gx, gy, -*print, -1.0);
+            normal += row * row.transpose();
+            right -= row * seen;
+        }
+        let inverse = normal.try_inverse()?;
+        let solved = inverse * right;
+        let gain = (0.5 * (inverse[(0, 0)] + inverse[(1, 1)])).sqrt();
+        gain.is_finite().then_some(((solved[0], solved[1]), gain))
+    }
 }

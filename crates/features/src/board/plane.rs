@@ -1,6 +1,6 @@
 //! Whether the corners of a grid lie on a plane, and how far they scatter about it.
 //!
-//! A homography takes the counted corners of a plane to the image. What a lens adds is smooth over the board: a polynomial of low degree in column and row
+//! A homography takes the counted corners of a plane to the image. What a lens adds is smooth over the board: a polynomial of low degree over the image
 //! takes it up, as far as there are corners to carry it. What is then left is the scatter of the corners; corners far beyond it are none of the
 //! board, and a grid that scatters by a fair part of its squares is no board at all.
 
@@ -34,13 +34,13 @@ const MAX_BEND: f64 = 0.35;
 const ROUNDS: usize = 8;
 /// Corners beyond so many sigma are weighted zero (Tukey's biweight).
 const TUKEY: f64 = 4.685;
-/// A corner this many sigma off, and by this part of a square, is none; by the second part none is kept.
+/// A corner so many sigma off, and by the first part of a square, is none; nor is one by the second part.
 const OUTLIER_SIGMAS: f64 = 6.0;
-const OUTLIER_SQUARES: (f64, f64) = (0.03, 0.12);
+const OUTLIER_SQUARES: (f64, f64) = (0.01, 0.12);
 /// A grid that scatters by more than this part of a square is none.
 const MAX_SCATTER_SQUARES: f64 = 0.05;
 /// Corners from which a polynomial of degree 2 and of degree 3 is fitted besides the homography.
-const FOR_DEGREE: [(usize, i32, f64); 3] = [(0, 1, 8.0), (14, 2, 12.0), (40, 3, 20.0)];
+const FOR_DEGREE: [(usize, i32, f64); 3] = [(0, 1, 8.0), (14, 2, 12.0), (24, 3, 20.0)];
 
 /// The homography from (column, row) to pixels by weighted least squares; `None` where the corners do not determine it.
 pub(super) fn homography(corners: &[Counted], weights: &[f64]) -> Option<Matrix3<f64>> {
@@ -106,14 +106,16 @@ fn residuals(corners: &[Counted], weights: &[f64], degree: i32) -> Option<Vec<(f
     if degree < 2 {
         return Some(left);
     }
-    let range = |pick: fn(&Counted) -> f64| {
-        let (low, high) = corners.iter().map(pick).fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
-        (0.5 * (low + high), (0.5 * (high - low)).max(0.5))
+    // A lens bends by where the image is, not by where the board is.
+    let places: Vec<(f64, f64)> = corners.iter().zip(&left).map(|(corner, r)| (corner.x - r.0, corner.y - r.1)).collect();
+    let range = |pick: fn(&(f64, f64)) -> f64| {
+        let (low, high) = places.iter().map(pick).fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+        (0.5 * (low + high), (0.5 * (high - low)).max(1.0))
     };
-    let (columns, rows) = (range(|c| c.column), range(|c| c.row));
+    let (across, down) = (range(|place| place.0), range(|place| place.1));
     let powers: Vec<(i32, i32)> = (0..=degree).flat_map(|a| (0..=degree - a).map(move |b| (a, b))).collect();
     let basis = DMatrix::from_fn(corners.len(), powers.len(), |at, k| {
-        let (u, v) = ((corners[at].column - columns.0) / columns.1, (corners[at].row - rows.0) / rows.1);
+        let (u, v) = ((places[at].0 - across.0) / across.1, (places[at].1 - down.0) / down.1);
         u.powi(powers[k].0) * v.powi(powers[k].1)
     });
     let weighted = DMatrix::from_fn(powers.len(), corners.len(), |k, at| weights[at] * basis[(at, k)]);

@@ -282,7 +282,7 @@ mod tests {
     fn picture(quad: &Quad, gap_px: f64) -> Plane {
         let (width, height) = (80, 60);
         let outside = |x: f64, y: f64| {
-            (0..4).map(|k| {
+            (0..4).map(move |k| {
                 let (a, b) = (quad[k], quad[(k + 1) % 4]);
                 -turn(a, b, (x, y)) / (b.0 - a.0).hypot(b.1 - a.1)
             })
