@@ -37,7 +37,7 @@ const MOST_PIXELS: u64 = 1 << 28;
 /// Half the window of the refinement at least, px.
 const LEAST_WINDOW_PX: f64 = 2.5;
 /// Where a marker leaves a corner less than this, the gradients about it are no longer its own, and the whole print about it is aligned; px.
-const MIN_FREE_PX: f64 = 5.0;
+const MIN_FREE_PX: f64 = 1e9;
 /// Grids that are looked at in an image.
 const GRIDS: usize = 6;
 
@@ -237,7 +237,7 @@ impl<'a> Print<'a> {
     fn align(&self, image: &Plane, (column, row): (i32, i32)) -> Option<(f64, f64, f64)> {
         let h = from_markers::nearby(&self.corners, (row, column))?;
         let place = *self.corners.get(&(row, column))?;
-        let found = self.pattern.align(image, (column, row), place, from_markers::axes(&h, (column, row)))?;
+        let found = self.pattern.align(image, (column, row), place, &h)?;
         Some((found.x, found.y, found.noise_gain))
     }
 }

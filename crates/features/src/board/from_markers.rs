@@ -6,7 +6,7 @@
 
 use super::grid::Grid;
 use super::markers::read_marker;
-use super::pattern::Pattern;
+use super::pattern::{Pattern, axes};
 use super::plane::{Counted, homography, project};
 use super::quads::{Quad, dark_quads};
 use super::saddle::Plane;
@@ -181,22 +181,12 @@ impl Growth<'_> {
         if !inside(row, self.layout.rows) || !inside(column, self.layout.columns) {
             return None;
         }
-        let axes = axes(h, (column, row));
+        let axes = axes(h, (f64::from(column), f64::from(row)));
         let step_px = axes[0].0.hypot(axes[0].1).min(axes[1].0.hypot(axes[1].1));
-        let found = self.pattern.align(self.image, (column, row), place, axes)?;
+        let found = self.pattern.align(self.image, (column, row), place, h)?;
         let moved = (found.x - place.0).hypot(found.y - place.1);
         (moved <= (MOVED * step_px).max(MIN_MOVED_PX)).then_some((found.x, found.y))
     }
-}
-
-/// How a column and a row change the place in the image about a corner, px.
-pub(super) fn axes(h: &Matrix3<f64>, (column, row): (i32, i32)) -> [(f64, f64); 2] {
-    let (c, r) = (f64::from(column), f64::from(row));
-    // Differences over half a square each way.
-    [(0.5, 0.0), (0.0, 0.5)].map(|(dc, dr)| {
-        let (a, b) = (project(h, c - dc, r - dr), project(h, c + dc, r + dr));
-        (b.0 - a.0, b.1 - a.1)
-    })
 }
 
 /// The homography through the known corners nearest to a place.

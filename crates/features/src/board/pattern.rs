@@ -1,9 +1,10 @@
 //! What is printed about a corner of a ChArUco board, whether an image shows it, and exactly where.
 
 use super::markers::marked_cells;
+use super::plane::project;
 use super::saddle::Plane;
 use super::{BoardLayout, MarkerLayout};
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix3, Matrix4, Vector4};
 use std::collections::BTreeMap;
 
 /// Half the width of what is compared about a corner, in squares, and in pixels at least.
@@ -66,8 +67,8 @@ impl<'a> Pattern<'a> {
         f64::from(u8::from(white == Some(true)))
     }
 
-    /// The corner (column, row) near `place`, where the print fits the image best; `None` where the image does not show the print. `axes` is how a column and
-    /// a row change the place, px.
+    /// The corner (column, row) near `place`, where the print fits the image best; `None` where the image does not show the print. The homography gives
+    /// the print its shape about the corner; it may be a little aside.
     ///
     /// Least squares of `image(p + d) = a print + b` over `d, a, b` (Lucas and Kanade, "An iterative image registration technique", 1981), from
     /// the best of a few places about the first one.
@@ -76,9 +77,9 @@ impl<'a> Pattern<'a> {
         image: &Plane,
         (column, row): (i32, i32),
         place: (f64, f64),
-        axes: [(f64, f64); 2],
+        image_from_board: &Matrix3<f64>,
     ) -> Option<Aligned> {
-        let print = self.patch((f64::from(column), f64::from(row)), axes);
+        let print = self.patch((f64::from(column), f64::from(row)), image_from_board);
         let mut best = (f64::MIN, place);
         for k in 0..25i32 {
             let at = (place.0 + f64::from(k % 5 - 2), place.1 + f64::from(k / 5 - 2));
@@ -105,7 +106,9 @@ impl<'a> Pattern<'a> {
     }
 
     /// The print about a corner as a camera would see it.
-    fn patch(&self, (column, row): (f64, f64), axes: [(f64, f64); 2]) -> Patch {
+    fn patch(&self, (column, row): (f64, f64), image_from_board: &Matrix3<f64>) -> Patch {
+        let middle = project(image_from_board, column, row);
+        let axes = axes(image_from_board, (column, row));
         let lengths = axes.map(|axis| axis.0.hypot(axis.1).max(1e-6));
         let reach = lengths.map(|length| REACH.max(MIN_REACH_PX / length));
         let blur = lengths.map(|length| BLUR_PX / length);
@@ -122,11 +125,22 @@ impl<'a> Pattern<'a> {
                 let spread = |k: usize| (2.0 * k as f64 + 1.0) / FINE as f64 - 1.0;
                 sum += self.at(column + u + blur[0] * spread(k % FINE), row + v + blur[1] * spread(k / FINE));
             }
-            patch.offsets.push((u * axes[0].0 + v * axes[1].0, u * axes[0].1 + v * axes[1].1));
+            let place = project(image_from_board, column + u, row + v);
+            patch.offsets.push((place.0 - middle.0, place.1 - middle.1));
             patch.print.push(sum / (FINE * FINE) as f64);
         }
         patch
     }
+}
+
+/// How a column and a row change the place in the image about a corner, px.
+pub(super) fn axes(image_from_board: &Matrix3<f64>, (column, row): (f64, f64)) -> [(f64, f64); 2] {
+    // Differences over half a square each way.
+    [(0.5, 0.0), (0.0, 0.5)].map(|(dc, dr)| {
+        let a = project(image_from_board, column - dc, row - dr);
+        let b = project(image_from_board, column + dc, row + dr);
+        (b.0 - a.0, b.1 - a.1)
+    })
 }
 
 /// A corner where its print fits the image.

@@ -76,11 +76,10 @@ fn printed(layout: &BoardLayout, old: bool, x: f64, y: f64) -> f64 {
         return 0.0;
     }
     let Some(markers) = &layout.markers else { return 1.0 };
-    let id = (0..=layout.rows as i32)
-        .flat_map(|r| (0..=layout.columns as i32).map(move |c| (c, r)))
-        .filter(|(c, r)| (c + r) % 2 == white)
-        .position(|cell| cell == (column, row))
-        .unwrap();
+    // White squares among the first `count` of a row.
+    let among = |count: i32, row: i32| if row % 2 == white { (count + 1) / 2 } else { count / 2 };
+    let id = (0..row).map(|above| among(layout.columns as i32 + 1, above)).sum::<i32>() + among(column, row);
+    let id = id as usize;
     let side = markers.dictionary.side() as f64 + 2.0;
     let into = |v: f64| ((v - v.floor() - 0.5) / markers.marker_in_square + 0.5) * side;
     let (bx, by) = (into(x), into(y));
