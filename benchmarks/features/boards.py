@@ -258,15 +258,20 @@ def others(folder, count):
 
 
 def nothing(folder, count):
-    """Images without the board: clutter, and another board."""
+    """Images without the board: clutter, and boards with other markers. (Of a checkerboard any smaller one may be a part.)"""
     nowhere = np.array([[c, r, -1e6, -1e6] for c in range(16) for r in range(16)], float)
     rng = np.random.default_rng(9)
-    for layout in (Layout(7, 5, "DICT_4X4_50", 0.875, False), Layout(11, 8, None, None, False)):
-        other = layout._replace(dictionary="DICT_6X6_250") if layout.dictionary else Layout(7, 5, "DICT_4X4_50", 0.7, False)
-        for name, made in (("clutter", lambda: np.clip(clutter(rng) + rng.normal(0, 2, (HEIGHT, WIDTH)), 0, 255).astype(np.uint8)),
-                           ("another board", lambda: render(other, 36, rng)[0])):
-            shots = [(made(), nowhere) for _ in range(4 * count)]
-            yield f"{layout.dictionary or 'checkerboard'}: {name}", *compare(folder, layout, shots, 36, MIN_CORNERS)
+    board, plain = Layout(7, 5, "DICT_4X4_50", 0.875, False), Layout(11, 8, None, None, False)
+
+    def cluttered():
+        return np.clip(clutter(rng) + rng.normal(0, 2, (HEIGHT, WIDTH)), 0, 255).astype(np.uint8)
+
+    def another():
+        return render(board._replace(dictionary="DICT_6X6_250"), 36, rng)[0]
+
+    for name, layout, make in (("charuco: clutter", board, cluttered), ("charuco: other markers", board, another),
+                               ("checkerboard: clutter", plain, cluttered)):
+        yield name, *compare(folder, layout, [(make(), nowhere) for _ in range(4 * count)], 36, MIN_CORNERS)
 
 
 def main():

@@ -2,9 +2,9 @@
 
 use super::grid::{Grid, grids};
 use super::labelling::{keeps_colours, possible};
-use super::pattern::Pattern;
+use super::pattern::{Aligned, MIN_REACH_PX, Pattern};
 use super::saddle::{Plane, candidates};
-use super::{BoardLayout, FoundBoard, GridCorner, Labelling, MarkerLayout, from_markers, markers, plane, subpixel};
+use super::{BoardLayout, FoundBoard, GridCorner, Labelling, from_markers, markers, plane};
 use crate::FeaturesError;
 use image::GrayImage;
 use serde::{Deserialize, Serialize};
@@ -20,24 +20,20 @@ pub struct BoardOptions {
     pub halvings: u32,
     /// A board with fewer corners in view is not told.
     pub least_corners: usize,
-    /// Half the window of the refinement, in sides of a square.
+    /// Half the window within which a corner's print is aligned with the image, in sides of a square.
     pub window: f64,
-    /// Half the window at most, px.
+    /// Half that window at most, px; at least it is 4 px.
     pub most_window_px: f64,
 }
 
 impl Default for BoardOptions {
     fn default() -> Self {
-        BoardOptions { smoothing_px: 1.2, halvings: 3, least_corners: 9, window: 0.35, most_window_px: 14.0 }
+        BoardOptions { smoothing_px: 1.2, halvings: 3, least_corners: 9, window: 0.3, most_window_px: 40.0 }
     }
 }
 
 /// Pixels of an image at most; more would take gigabytes.
 const MOST_PIXELS: u64 = 1 << 28;
-/// Half the window of the refinement at least, px.
-const LEAST_WINDOW_PX: f64 = 2.5;
-/// Where a marker leaves a corner less than this, the gradients about it are no longer its own, and the whole print about it is aligned; px.
-const MIN_FREE_PX: f64 = 1e9;
 /// Grids that are looked at in an image.
 const GRIDS: usize = 6;
 
@@ -75,7 +71,7 @@ pub fn detect_board(
     if let Some(markers) = &layout.markers
         && !is_whole(&best)
     {
-        for grid in from_markers::grids(&full, layout, markers) {
+        for grid in from_markers::grids(&full, layout, markers, options) {
             search.judge(&grid, &mut best);
         }
     }
@@ -94,8 +90,8 @@ fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Res
     if !(0.05..=0.5).contains(&options.window) {
         return bad("window", options.window.to_string(), "0.05 to 0.5 sides of a square");
     }
-    if !(LEAST_WINDOW_PX..=100.0).contains(&options.most_window_px) {
-        return bad("most_window_px", options.most_window_px.to_string(), "2.5 to 100 px");
+    if !(MIN_REACH_PX..=100.0).contains(&options.most_window_px) {
+        return bad("most_window_px", options.most_window_px.to_string(), "4 to 100 px");
     }
     if !(2..=1000).contains(&layout.columns) || !(2..=1000).contains(&layout.rows) {
         let got = format!("{} x {}", layout.columns, layout.rows);
@@ -169,28 +165,15 @@ impl Search<'_> {
 
     /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those that cannot be are left out.
     fn refined(&self, grid: &Grid, labelling: &Labelling) -> Vec<(GridCorner, f64)> {
-        let print = self.layout.markers.as_ref().map(|markers| {
-            // By its markers alone a board may begin in two ways; about its corners it looks the same in both.
-            Print::new(self.layout, markers, grid, labelling)
-        });
-        let refine = |(&(row, column), &(x, y)): (&(i32, i32), &(f32, f32))| {
+        // Where a grid can be counted in several ways, the print about its corners is the same in all.
+        let print = Print::new(self.layout, grid, labelling, self.options);
+        let refine = |&(row, column): &(i32, i32)| {
             let step_px = f64::from(grid.step(row, column)?);
-            let free_px = self.layout.markers.as_ref().map_or(f64::MAX, |markers| {
-                // No marker may reach into the window: it begins half of what it leaves free from the corner, on both axes.
-                0.5 * (1.0 - markers.marker_in_square) * std::f64::consts::SQRT_2 * step_px
-            });
-            let (x, y, gain) = match &print {
-                Some(print) if free_px < MIN_FREE_PX => print.align(self.full, labelling.of(column, row))?,
-                _ => {
-                    let window_px = (self.options.window * step_px).min(free_px);
-                    let radius = window_px.clamp(LEAST_WINDOW_PX, self.options.most_window_px);
-                    let (x, y) = subpixel::refine(self.full, (f64::from(x), f64::from(y)), radius)?;
-                    (x, y, subpixel::noise_gain(self.full, (x, y), radius)?)
-                }
-            };
-            Some((GridCorner { column, row, x, y, sigma_px: self.noise * gain }, step_px))
+            let found = print.align(self.full, labelling.of(column, row))?;
+            let sigma_px = self.noise * found.noise_gain;
+            Some((GridCorner { column, row, x: found.x, y: found.y, sigma_px }, step_px))
         };
-        grid.corners.iter().filter_map(refine).collect()
+        grid.corners.keys().filter_map(refine).collect()
     }
 
     /// The corners that lie on a plane, their sigmas raised to what they scatter about it; `None` where they are none.
@@ -216,7 +199,7 @@ impl Search<'_> {
     }
 }
 
-/// The print of a ChArUco board over a grid that is counted.
+/// The print of a board over a grid that is counted.
 struct Print<'a> {
     pattern: Pattern<'a>,
     /// The grid's corners by the board's row and column.
@@ -224,20 +207,19 @@ struct Print<'a> {
 }
 
 impl<'a> Print<'a> {
-    fn new(layout: &'a BoardLayout, markers: &'a MarkerLayout, grid: &Grid, labelling: &Labelling) -> Self {
+    fn new(layout: &'a BoardLayout, grid: &Grid, labelling: &Labelling, options: &BoardOptions) -> Self {
         let on_board = |(&(row, column), &(x, y)): (&(i32, i32), &(f32, f32))| {
             let (column, row) = labelling.of(column, row);
             ((row, column), (f64::from(x), f64::from(y)))
         };
-        let pattern = Pattern::of(layout, markers, keeps_colours(grid, labelling));
+        let pattern = Pattern::of(layout, keeps_colours(grid, labelling), options);
         Print { pattern, corners: grid.corners.iter().map(on_board).collect() }
     }
 
-    /// Place and noise gain of a corner by the whole print about it.
-    fn align(&self, image: &Plane, (column, row): (i32, i32)) -> Option<(f64, f64, f64)> {
+    /// A corner (column, row) by the whole print about it.
+    fn align(&self, image: &Plane, (column, row): (i32, i32)) -> Option<Aligned> {
         let h = from_markers::nearby(&self.corners, (row, column))?;
         let place = *self.corners.get(&(row, column))?;
-        let found = self.pattern.align(image, (column, row), place, &h)?;
-        Some((found.x, found.y, found.noise_gain))
+        self.pattern.align(image, (column, row), place, &h, 0)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! With markers nearly as large as their squares the saddle points of the corners drown in the markers' borders. The markers themselves are seen well: each one
 //! read is four points of known places on the board. Neighbours that predict each other's places make up the board; they predict the corners
-//! about them, which are refined and compared with the print, and known corners predict the next ones.
+//! about them, which are aligned with the print, and known corners predict the next ones.
 
 use super::grid::Grid;
 use super::markers::read_marker;
@@ -10,7 +10,7 @@ use super::pattern::{Pattern, axes};
 use super::plane::{Counted, homography, project};
 use super::quads::{Quad, dark_quads};
 use super::saddle::Plane;
-use super::{BoardLayout, MarkerLayout};
+use super::{BoardLayout, BoardOptions, MarkerLayout};
 use nalgebra::Matrix3;
 use std::collections::BTreeMap;
 
@@ -20,9 +20,11 @@ const FAR: f64 = 4.5;
 const TOLERANCE: f64 = 0.15;
 /// Corners by which a missing one is predicted.
 const NEAREST: usize = 12;
-/// A corner is refined to within this part of a square of its prediction, and so many px at least.
+/// A corner is aligned to within this part of a square of its prediction, and so many px at least.
 const MOVED: f64 = 0.12;
 const MIN_MOVED_PX: f64 = 1.5;
+/// Predictions are off by at most so many whole pixels.
+const SEARCH_PX: i32 = 2;
 
 /// A marker that was read; corners in its own order, clockwise from its first.
 struct Marker {
@@ -39,14 +41,14 @@ struct Placed {
 }
 
 /// Grids over the markers of an image, counted as the board is; one for each way in which the board may begin.
-pub(super) fn grids(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout) -> Vec<Grid> {
+pub(super) fn grids(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout, options: &BoardOptions) -> Vec<Grid> {
     let read = read_all(image, layout, markers);
     // OpenCV before 4.6 began boards with an even number of rows of squares with a white one.
     let beginnings: &[bool] = if layout.rows % 2 == 1 { &[true, false] } else { &[true] };
     let grow = |first_is_black: &bool| {
-        let pattern = Pattern::of(layout, markers, *first_is_black);
+        let pattern = Pattern::of(layout, *first_is_black, options);
         let placed = agreeing(read.iter().filter_map(|marker| place(marker, &pattern, markers)).collect());
-            Growth { image, layout, pattern: &pattern }.grown(&placed)
+        Growth { image, layout, pattern: &pattern }.grown(&placed)
     };
     beginnings.iter().map(grow).filter(|grid| !grid.corners.is_empty()).collect()
 }
@@ -108,7 +110,8 @@ fn agreeing(placed: Vec<Placed>) -> Vec<Placed> {
         }
     }
     // Of equal ones the first.
-    let Some((&largest, _)) = cells.iter().max_by_key(|(group, cells)| (cells.len(), std::cmp::Reverse(**group))) else {
+    let Some((&largest, _)) = cells.iter().max_by_key(|(group, cells)| (cells.len(), std::cmp::Reverse(**group)))
+    else {
         return Vec::new();
     };
     placed.into_iter().zip(group).filter(|(_, group)| *group == largest).map(|(placed, _)| placed).collect()
@@ -183,7 +186,7 @@ impl Growth<'_> {
         }
         let axes = axes(h, (f64::from(column), f64::from(row)));
         let step_px = axes[0].0.hypot(axes[0].1).min(axes[1].0.hypot(axes[1].1));
-        let found = self.pattern.align(self.image, (column, row), place, h)?;
+        let found = self.pattern.align(self.image, (column, row), place, h, SEARCH_PX)?;
         let moved = (found.x - place.0).hypot(found.y - place.1);
         (moved <= (MOVED * step_px).max(MIN_MOVED_PX)).then_some((found.x, found.y))
     }

@@ -1,15 +1,16 @@
-//! What is printed about a corner of a ChArUco board, whether an image shows it, and exactly where.
+//! What is printed about a corner of a board, whether an image shows it, and exactly where.
 
 use super::markers::marked_cells;
 use super::plane::project;
 use super::saddle::Plane;
-use super::{BoardLayout, MarkerLayout};
+use super::{BoardLayout, BoardOptions};
 use nalgebra::{Matrix3, Matrix4, Vector4};
 use std::collections::BTreeMap;
 
-/// Half the width of what is compared about a corner, in squares, and in pixels at least.
-const REACH: f64 = 0.3;
-const MIN_REACH_PX: f64 = 4.0;
+/// Half the width of what is compared about a corner, px, at least.
+pub(super) const MIN_REACH_PX: f64 = 4.0;
+/// Points compared, each way.
+const POINTS: (usize, usize) = (9, 25);
 /// Steps of the alignment at most, and when it stands still, px.
 const ROUNDS: usize = 12;
 const STILL_PX: f64 = 1e-3;
@@ -24,19 +25,21 @@ const MIN_CORRELATION: f64 = 0.6;
 /// Standard deviation of what the image shows below which nothing is compared, grey levels.
 const MIN_DEVIATION: f64 = 3.0;
 
-/// The print of a ChArUco board, in squares; corner (0, 0) is the first inner one.
+/// The print of a board, in squares; corner (0, 0) is the first inner one.
 pub(super) struct Pattern<'a> {
     layout: &'a BoardLayout,
-    markers: &'a MarkerLayout,
+    /// Markers by the least column and row of their squares; none on a checkerboard.
     ids: BTreeMap<(i32, i32), usize>,
     first_is_black: bool,
+    /// Half the width of what is compared about a corner, in squares, and in pixels at most.
+    reach: (f64, f64),
 }
 
 impl<'a> Pattern<'a> {
-    pub(super) fn of(layout: &'a BoardLayout, markers: &'a MarkerLayout, first_is_black: bool) -> Self {
-        let cells = marked_cells(layout, first_is_black);
+    pub(super) fn of(layout: &'a BoardLayout, first_is_black: bool, options: &BoardOptions) -> Self {
+        let cells = if layout.markers.is_some() { marked_cells(layout, first_is_black) } else { Vec::new() };
         let ids = cells.into_iter().enumerate().map(|(id, cell)| (cell, id)).collect();
-        Pattern { layout, markers, ids, first_is_black }
+        Pattern { layout, ids, first_is_black, reach: (options.window, options.most_window_px) }
     }
 
     pub(super) fn first_is_black(&self) -> bool {
@@ -55,15 +58,18 @@ impl<'a> Pattern<'a> {
         if outside(column, self.layout.columns) || outside(row, self.layout.rows) {
             return 1.0;
         }
-        let Some(&id) = self.ids.get(&(column, row)) else { return 0.0 };
-        let side = self.markers.dictionary.side() as f64 + 2.0;
-        let into = |v: f64| ((v - v.floor() - 0.5) / self.markers.marker_in_square + 0.5) * side;
+        if ((column + row).rem_euclid(2) == 0) == self.first_is_black {
+            return 0.0;
+        }
+        let Some((markers, &id)) = self.layout.markers.as_ref().zip(self.ids.get(&(column, row))) else { return 1.0 };
+        let side = markers.dictionary.side() as f64 + 2.0;
+        let into = |v: f64| ((v - v.floor() - 0.5) / markers.marker_in_square + 0.5) * side;
         let (bx, by) = (into(x), into(y));
         if bx < 0.0 || by < 0.0 || bx >= side || by >= side {
             return 1.0;
         }
         let bit = |v: f64| (v.floor() as usize).checked_sub(1);
-        let white = bit(bx).zip(bit(by)).and_then(|(c, r)| self.markers.dictionary.bit(id, r, c));
+        let white = bit(bx).zip(bit(by)).and_then(|(c, r)| markers.dictionary.bit(id, r, c));
         f64::from(u8::from(white == Some(true)))
     }
 
@@ -71,18 +77,20 @@ impl<'a> Pattern<'a> {
     /// the print its shape about the corner; it may be a little aside.
     ///
     /// Least squares of `image(p + d) = a print + b` over `d, a, b` (Lucas and Kanade, "An iterative image registration technique", 1981), from
-    /// the best of a few places about the first one.
+    /// the best of the places within `search_px` whole pixels of the first one.
     pub(super) fn align(
         &self,
         image: &Plane,
         (column, row): (i32, i32),
         place: (f64, f64),
         image_from_board: &Matrix3<f64>,
+        search_px: i32,
     ) -> Option<Aligned> {
         let print = self.patch((f64::from(column), f64::from(row)), image_from_board);
         let mut best = (f64::MIN, place);
-        for k in 0..25i32 {
-            let at = (place.0 + f64::from(k % 5 - 2), place.1 + f64::from(k / 5 - 2));
+        let range = -search_px..=search_px;
+        for (dx, dy) in range.clone().flat_map(|dy| range.clone().map(move |dx| (dx, dy))) {
+            let at = (place.0 + f64::from(dx), place.1 + f64::from(dy));
             if let Some(found) = print.correlation(image, at)
                 && found > best.0
             {
@@ -110,10 +118,10 @@ impl<'a> Pattern<'a> {
         let middle = project(image_from_board, column, row);
         let axes = axes(image_from_board, (column, row));
         let lengths = axes.map(|axis| axis.0.hypot(axis.1).max(1e-6));
-        let reach = lengths.map(|length| REACH.max(MIN_REACH_PX / length));
+        let reach = lengths.map(|length| self.reach.0.min(self.reach.1 / length).max(MIN_REACH_PX / length));
         let blur = lengths.map(|length| BLUR_PX / length);
         // About a point a pixel.
-        let count = |k: usize| ((2.0 * reach[k] * lengths[k]).ceil() as usize).clamp(9, 41);
+        let count = |k: usize| ((2.0 * reach[k] * lengths[k]).ceil() as usize).clamp(POINTS.0, POINTS.1);
         let (across, down) = (count(0), count(1));
         let mut patch = Patch { offsets: Vec::with_capacity(across * down), print: Vec::with_capacity(across * down) };
         for at in 0..across * down {

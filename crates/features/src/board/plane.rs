@@ -56,7 +56,8 @@ pub(super) fn homography(corners: &[Counted], weights: &[f64]) -> Option<Matrix3
     if !usable {
         return None;
     }
-    let to_unit = |scale: f64, x: f64, y: f64| Matrix3::new(scale, 0.0, -scale * x, 0.0, scale, -scale * y, 0.0, 0.0, 1.0);
+    let to_unit =
+        |scale: f64, x: f64, y: f64| Matrix3::new(scale, 0.0, -scale * x, 0.0, scale, -scale * y, 0.0, 0.0, 1.0);
     let unit_from_board = to_unit(1.0 / board, middle[0], middle[1]);
     let unit_from_image = to_unit(1.0 / image, middle[2], middle[3]);
     let mut h = Matrix3::identity();
@@ -107,7 +108,8 @@ fn residuals(corners: &[Counted], weights: &[f64], degree: i32) -> Option<Vec<(f
         return Some(left);
     }
     // A lens bends by where the image is, not by where the board is.
-    let places: Vec<(f64, f64)> = corners.iter().zip(&left).map(|(corner, r)| (corner.x - r.0, corner.y - r.1)).collect();
+    let places: Vec<(f64, f64)> =
+        corners.iter().zip(&left).map(|(corner, r)| (corner.x - r.0, corner.y - r.1)).collect();
     let range = |pick: fn(&(f64, f64)) -> f64| {
         let (low, high) = places.iter().map(pick).fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
         (0.5 * (low + high), (0.5 * (high - low)).max(1.0))
@@ -182,8 +184,7 @@ pub(super) fn fit(corners: &[Counted], step_px: f64, min_corners: usize) -> Opti
         };
         weights = lengths.iter().map(weigh).collect();
     }
-    let tolerance =
-        (OUTLIER_SIGMAS * sigma).clamp(OUTLIER_SQUARES.0 * step_px, OUTLIER_SQUARES.1 * step_px);
+    let tolerance = (OUTLIER_SIGMAS * sigma).clamp(OUTLIER_SQUARES.0 * step_px, OUTLIER_SQUARES.1 * step_px);
     let keeps: Vec<bool> = lengths.iter().map(|length| *length <= tolerance).collect();
     let kept = keeps.iter().filter(|keep| **keep).count();
     let &(_, _, parameters) = FOR_DEGREE.iter().rfind(|entry| kept >= entry.0)?;

@@ -57,7 +57,8 @@ fn sigmas_are_what_corners_scatter() {
         for seed in 0..4 {
             let fills = square_px * 8.0 / 640.0;
             let shot = Shot { turn: [0.7 * seed as f64, 0.3, -0.2], fills, blur: 0.8, noise, ..PLAIN };
-            let board = detect_board(&render(&layout, &shot, seed), &layout, &BoardOptions::default()).unwrap().unwrap();
+            let board =
+                detect_board(&render(&layout, &shot, seed), &layout, &BoardOptions::default()).unwrap().unwrap();
             let h = homography(&layout, &shot);
             for corner in board.labelled(&board.labellings[0], &layout) {
                 let p = h * Vector3::new(f64::from(corner.column), f64::from(corner.row), 1.0);
