@@ -1,9 +1,11 @@
 //! Corners of a board in images as CSV, for `benchmarks/features/boards.py` and for a look at one's own images.
 //!
-//! `cargo run --release -p skclam-features --example detect_boards COLUMNS ROWS [DICTIONARY MARKER_IN_SQUARE] -- IMAGE...`
+//! `cargo run --release -p skclam-features --example detect_boards COLUMNS ROWS [DICTIONARY MARKER_IN_SQUARE] --
+//! IMAGE...`
 //!
-//! COLUMNS and ROWS are inner corners; MARKER_IN_SQUARE is the side of a marker over that of a square. A line a corner: the image, which way to count it is
-//! (several where the pattern allows them), column and row, position and sigma in px. An image without a board has no line.
+//! COLUMNS and ROWS are inner corners; MARKER_IN_SQUARE is the side of a marker over that of a square. A line a corner:
+//! the image, which way to count it is (several where the pattern allows them), column and row, position and sigma in
+//! px. An image without a board has no line.
 
 use skclam_features::{BoardLayout, BoardOptions, Dictionary, MarkerLayout, detect_board};
 use std::error::Error;

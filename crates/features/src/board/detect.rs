@@ -163,7 +163,8 @@ impl Search<'_> {
         }
     }
 
-    /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those that cannot be are left out.
+    /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those
+    /// that cannot be are left out.
     fn refined(&self, grid: &Grid, labelling: &Labelling) -> Vec<(GridCorner, f64)> {
         // Where a grid can be counted in several ways, the print about its corners is the same in all.
         let print = Print::new(self.layout, grid, labelling, self.options);

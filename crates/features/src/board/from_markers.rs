@@ -1,8 +1,9 @@
 //! From markers to corners: the way to a ChArUco board whose markers leave its corners little room.
 //!
-//! With markers nearly as large as their squares the saddle points of the corners drown in the markers' borders. The markers themselves are seen well: each one
-//! read is four points of known places on the board. Neighbours that predict each other's places make up the board; they predict the corners
-//! about them, which are aligned with the print, and known corners predict the next ones.
+//! With markers nearly as large as their squares the saddle points of the corners drown in the markers' borders. The
+//! markers themselves are seen well: each one read is four points of known places on the board. Neighbours that predict
+//! each other's places make up the board; they predict the corners about them, which are aligned with the print, and
+//! known corners predict the next ones.
 
 use super::grid::Grid;
 use super::markers::read_marker;

@@ -14,8 +14,8 @@ pub struct GridCorner {
     pub x: f64,
     /// Position, px.
     pub y: f64,
-    /// Standard deviation of the position along an axis, px: from the image's noise and the gradients about the corner, and from how far
-    /// the board's corners scatter about a smoothly bent plane beyond that.
+    /// Standard deviation of the position along an axis, px: from the image's noise and the gradients about the corner,
+    /// and from how far the board's corners scatter about a smoothly bent plane beyond that.
     pub sigma_px: f64,
 }
 
@@ -62,8 +62,8 @@ impl Labelling {
 pub struct FoundBoard {
     /// Every corner, in any count.
     pub corners: Vec<GridCorner>,
-    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when turned, or a part of it is out of
-    /// view.
+    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when
+    /// turned, or a part of it is out of view.
     pub labellings: Vec<Labelling>,
     /// Markers that were read.
     pub markers: usize,
@@ -91,9 +91,9 @@ impl FoundBoard {
 
 /// Labellings that put every corner of the grid on the board, by its size and its colours alone.
 ///
-/// The square beyond corner (0, 0), at larger column and row, is dark as the board's first square is. On a board whose columns and rows are
-/// both even or both odd half a turn leaves the colours as they are, and the other half of all boards of that size has them swapped: there
-/// colours say nothing.
+/// The square beyond corner (0, 0), at larger column and row, is dark as the board's first square is. On a board whose
+/// columns and rows are both even or both odd half a turn leaves the colours as they are, and the other half of all
+/// boards of that size has them swapped: there colours say nothing.
 pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
     let ((top, bottom), (left, right)) = grid.bounds();
     let (columns, rows) = (layout.columns as i32, layout.rows as i32);
@@ -116,8 +116,8 @@ pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
 
 /// Whether dark squares of the grid are dark on the board.
 pub(super) fn keeps_colours(grid: &Grid, labelling: &Labelling) -> bool {
-    // The square beyond a grid's corner, at larger column and row, has this corner at its least column and row: (column, row). After a
-    // quarter turn the corner with the least column and row of the same square is another one.
+    // The square beyond a grid's corner, at larger column and row, has this corner at its least column and row:
+    // (column, row). After a quarter turn the corner with the least column and row of the same square is another one.
     let Some((&(row, column), _)) = grid.corners.iter().next() else { return false };
     let (a, b) = (labelling.of(column, row), labelling.of(column + 1, row + 1));
     let (least_column, least_row) = (a.0.min(b.0), a.1.min(b.1));

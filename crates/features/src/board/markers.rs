@@ -14,8 +14,8 @@ const BORDER_ERRORS: f64 = 0.1;
 /// Samples along a side of a bit.
 const SAMPLES: usize = 3;
 
-/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None` where fewer than two
-/// agree.
+/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
+/// where fewer than two agree.
 pub(super) fn read(
     image: &Plane,
     grid: &Grid,
@@ -39,8 +39,8 @@ pub(super) fn read(
     if most < 2 || 2 * most <= all {
         return None;
     }
-    // On a board with an odd number of columns of squares, inner markers alone fit both beginnings, a column apart. The whole of a board lies
-    // on itself under one of them only; of a part both are told.
+    // On a board with an odd number of columns of squares, inner markers alone fit both beginnings, a column apart. The
+    // whole of a board lies on itself under one of them only; of a part both are told.
     let on_board = |labelling: &Labelling| {
         let inside = |&&(row, column): &&(i32, i32)| {
             let (column, row) = labelling.of(column, row);
@@ -53,8 +53,8 @@ pub(super) fn read(
     Some((tied.into_iter().filter(|way| on_board(way) == held).collect(), most))
 }
 
-/// Column and row of the white squares' first corners, in the order of the markers' numbers. Squares at the board's edge have their first
-/// corner outside: (-1, ...).
+/// Column and row of the white squares' first corners, in the order of the markers' numbers. Squares at the board's
+/// edge have their first corner outside: (-1, ...).
 pub(super) fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
     let white = if first_is_black { 1 } else { 0 };
     (0..=layout.rows as i32)
@@ -64,17 +64,19 @@ pub(super) fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i
         .collect()
 }
 
-/// The labelling under which the grid's square at `first` (its corner of least column and row) with its marker turned by `turns` quarters clockwise is the
-/// board's square at `cell`.
+/// The labelling under which the grid's square at `first` (its corner of least column and row) with its marker turned
+/// by `turns` quarters clockwise is the board's square at `cell`.
 fn labelling_of(turns: usize, first: (i32, i32), cell: (i32, i32)) -> Labelling {
-    // A marker turned clockwise by t quarters has its own x along the grid's direction t of (+column, +row, -column, -row).
+    // A marker turned clockwise by t quarters has its own x along the grid's direction t of (+column, +row, -column,
+    // -row).
     let turns = (turns % 4) as u8;
     let unshifted = Labelling { turns, column: 0, row: 0 };
     let (a, b) = (unshifted.of(first.0, first.1), unshifted.of(first.0 + 1, first.1 + 1));
     Labelling { turns, column: cell.0 - a.0.min(b.0), row: cell.1 - a.1.min(b.1) }
 }
 
-/// The marker in the grid's square whose corner of least column and row is given: its number, and its quarter turns clockwise against the grid.
+/// The marker in the grid's square whose corner of least column and row is given: its number, and its quarter turns
+/// clockwise against the grid.
 fn read_cell(
     image: &Plane,
     grid: &Grid,
@@ -92,8 +94,8 @@ fn read_cell(
     read_marker(image, &(image_from_square * square_from_marker), &markers.dictionary, count)
 }
 
-/// The marker in a quadrilateral of the image, given by the homography from the unit square: its number among the first `count`, and its quarter turns
-/// clockwise against the square.
+/// The marker in a quadrilateral of the image, given by the homography from the unit square: its number among the first
+/// `count`, and its quarter turns clockwise against the square.
 pub(super) fn read_marker(
     image: &Plane,
     image_from_marker: &Matrix3<f64>,
@@ -130,7 +132,8 @@ pub(super) fn read_marker(
     dictionary.find(bits, count)
 }
 
-/// Between the dark and the bright values, where the two classes are farthest apart (Otsu 1979); `None` where all are alike.
+/// Between the dark and the bright values, where the two classes are farthest apart (Otsu 1979); `None` where all are
+/// alike.
 fn threshold(values: &[f32]) -> Option<f32> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f32::total_cmp);

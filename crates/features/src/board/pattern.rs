@@ -22,6 +22,8 @@ const BLUR_PX: f64 = 1.0;
 const FINE: usize = 6;
 /// Correlation of print and image from which a corner is there.
 const MIN_CORRELATION: f64 = 0.6;
+/// Part of what is compared that must be in the image.
+const MIN_IN_IMAGE: f64 = 0.7;
 /// Standard deviation of what the image shows below which nothing is compared, grey levels.
 const MIN_DEVIATION: f64 = 3.0;
 
@@ -73,11 +75,11 @@ impl<'a> Pattern<'a> {
         f64::from(u8::from(white == Some(true)))
     }
 
-    /// The corner (column, row) near `place`, where the print fits the image best; `None` where the image does not show the print. The homography gives
-    /// the print its shape about the corner; it may be a little aside.
+    /// The corner (column, row) near `place`, where the print fits the image best; `None` where the image does not show
+    /// the print. The homography gives the print its shape about the corner; it may be a little aside.
     ///
-    /// Least squares of `image(p + d) = a print + b` over `d, a, b` (Lucas and Kanade, "An iterative image registration technique", 1981), from
-    /// the best of the places within `search_px` whole pixels of the first one.
+    /// Least squares of `image(p + d) = a print + b` over `d, a, b` (Lucas and Kanade, "An iterative image registration
+    /// technique", 1981), from the best of the places within `search_px` whole pixels of the first one.
     pub(super) fn align(
         &self,
         image: &Plane,
@@ -168,16 +170,21 @@ struct Patch {
 }
 
 impl Patch {
-    /// Pearson's correlation of print and image; `None` where the image hardly varies or ends.
+    /// Pearson's correlation of print and image; `None` where the image hardly varies, or too little of it is there.
     fn correlation(&self, image: &Plane, (x, y): (f64, f64)) -> Option<f64> {
-        let count = self.print.len() as f64;
         let mut sums = [0.0; 5];
+        let mut count = 0u32;
         for (offset, print) in self.offsets.iter().zip(&self.print) {
-            let seen = f64::from(image.sample((x + offset.0) as f32, (y + offset.1) as f32)?);
+            let Some(seen) = image.sample((x + offset.0) as f32, (y + offset.1) as f32) else { continue };
+            let seen = f64::from(seen);
+            count += 1;
             let terms = [*print, seen, print * print, print * seen, seen * seen];
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term / count);
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
         }
-        let [a, b, aa, ab, bb] = sums;
+        if f64::from(count) < MIN_IN_IMAGE * self.print.len() as f64 {
+            return None;
+        }
+        let [a, b, aa, ab, bb] = sums.map(|sum| sum / f64::from(count));
         let (aa, ab, bb) = (aa - a * a, ab - a * b, bb - b * b);
         (bb > MIN_DEVIATION * MIN_DEVIATION && aa > 0.0).then(|| ab / (aa * bb).sqrt())
     }
@@ -188,9 +195,7 @@ impl Patch {
         let mut right = Vector4::<f64>::zeros();
         for (offset, print) in self.offsets.iter().zip(&self.print) {
             let (u, v) = ((x + offset.0) as f32, (y + offset.1) as f32);
-            let seen = f64::from(image.sample(u, v)?);
-            let gx = 0.5 * f64::from(image.sample(u + 1.0, v)? - image.sample(u - 1.0, v)?);
-            let gy = 0.5 * f64::from(image.sample(u, v + 1.0)? - image.sample(u, v - 1.0)?);
+            let Some((seen, gx, gy)) = with_gradient(image, u, v) else { continue };
             let row = Vector4::new(gx, gy, -*print, -1.0);
             normal += row * row.transpose();
             right -= row * seen;
@@ -200,4 +205,11 @@ impl Patch {
         let gain = (0.5 * (inverse[(0, 0)] + inverse[(1, 1)])).sqrt();
         gain.is_finite().then_some(((solved[0], solved[1]), gain))
     }
+}
+
+/// Grey level and its derivatives along x and y, a pixel; `None` at the image's edge.
+fn with_gradient(image: &Plane, x: f32, y: f32) -> Option<(f64, f64, f64)> {
+    let gx = 0.5 * (image.sample(x + 1.0, y)? - image.sample(x - 1.0, y)?);
+    let gy = 0.5 * (image.sample(x, y + 1.0)? - image.sample(x, y - 1.0)?);
+    Some((f64::from(image.sample(x, y)?), f64::from(gx), f64::from(gy)))
 }

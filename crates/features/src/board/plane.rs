@@ -1,8 +1,9 @@
 //! Whether the corners of a grid lie on a plane, and how far they scatter about it.
 //!
-//! A homography takes the counted corners of a plane to the image. What a lens adds is smooth over the board: a polynomial of low degree over the image
-//! takes it up, as far as there are corners to carry it. What is then left is the scatter of the corners; corners far beyond it are none of the
-//! board, and a grid that scatters by a fair part of its squares is no board at all.
+//! A homography takes the counted corners of a plane to the image. What a lens adds is smooth over the board: a
+//! polynomial of low degree over the image takes it up, as far as there are corners to carry it. What is then left is
+//! the scatter of the corners; corners far beyond it are none of the board, and a grid that scatters by a fair part of
+//! its squares is no board at all.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -35,12 +36,12 @@ const ROUNDS: usize = 8;
 /// Corners beyond so many sigma are weighted zero (Tukey's biweight).
 const TUKEY: f64 = 4.685;
 /// A corner so many sigma off, and by the first part of a square, is none; nor is one by the second part.
-const OUTLIER_SIGMAS: f64 = 6.0;
+const OUTLIER_SIGMAS: f64 = 8.0;
 const OUTLIER_SQUARES: (f64, f64) = (0.01, 0.12);
 /// A grid that scatters by more than this part of a square is none.
 const MAX_SCATTER_SQUARES: f64 = 0.05;
-/// Corners from which a polynomial of degree 2 and of degree 3 is fitted besides the homography.
-const FOR_DEGREE: [(usize, i32, f64); 3] = [(0, 1, 8.0), (14, 2, 12.0), (24, 3, 20.0)];
+/// Corners from which a polynomial is fitted besides the homography, its degree, and the parameters of both.
+const FOR_DEGREE: [(usize, i32, f64); 4] = [(0, 1, 8.0), (14, 2, 12.0), (24, 3, 20.0), (60, 5, 42.0)];
 
 /// The homography from (column, row) to pixels by weighted least squares; `None` where the corners do not determine it.
 pub(super) fn homography(corners: &[Counted], weights: &[f64]) -> Option<Matrix3<f64>> {
@@ -163,7 +164,8 @@ fn start(corners: &[Counted], step_px: f64) -> Option<Vec<f64>> {
     Some(distances.iter().map(|distance| f64::from(u8::from(*distance <= tolerance))).collect())
 }
 
-/// How corners fit a plane whose squares are about `step_px` wide; `None` where they are no plane, or fewer than `min_corners` of them are on it.
+/// How corners fit a plane whose squares are about `step_px` wide; `None` where they are no plane, or fewer than
+/// `min_corners` of them are on it.
 pub(super) fn fit(corners: &[Counted], step_px: f64, min_corners: usize) -> Option<PlaneFit> {
     if corners.len() < min_corners.max(5) {
         return None;
@@ -176,7 +178,8 @@ pub(super) fn fit(corners: &[Counted], step_px: f64, min_corners: usize) -> Opti
         let &(_, degree, _) = FOR_DEGREE.iter().rfind(|entry| used >= entry.0)?;
         let left = residuals(corners, &weights, degree)?;
         lengths = left.iter().map(|r| r.0.hypot(r.1)).collect();
-        // The median length of residuals of sigma 1 on each axis is 1.177. Below a hundredth of a pixel nothing is to be told apart.
+        // The median length of residuals of sigma 1 on each axis is 1.177. Below a hundredth of a pixel nothing is to
+        // be told apart.
         sigma = (median(&mut lengths.clone()) / 1.177).max(0.01);
         let weigh = |length: &f64| {
             let t = length / (TUKEY * sigma);

@@ -1,8 +1,10 @@
-//! Dark quadrilaterals on bright ground, such as markers: thresholds at local means, connected pixels, four lines about them.
+//! Dark quadrilaterals on bright ground, such as markers: thresholds at local means, connected pixels, four lines about
+//! them.
 //!
-//! A marker nearly as large as its square is parted from the black squares by a white line of a pixel or two. A threshold at the mean of a small
-//! neighbourhood keeps that line where any smoothing would close it; neighbourhoods of several sizes serve small and large margins (Garrido-Jurado et al.,
-//! "Automatic generation and detection of highly reliable fiducial markers under occlusion", 2014).
+//! A marker nearly as large as its square is parted from the black squares by a white line of a pixel or two. A
+//! threshold at the mean of a small neighbourhood keeps that line where any smoothing would close it; neighbourhoods of
+//! several sizes serve small and large margins (Garrido-Jurado et al., "Automatic generation and detection of highly
+//! reliable fiducial markers under occlusion", 2014).
 
 use super::saddle::Plane;
 
@@ -131,7 +133,8 @@ fn join(parents: &mut [usize], a: usize, b: usize) {
     parents[a.max(b)] = a.min(b);
 }
 
-/// The convex hull of runs (ordered by row), clockwise in the image; `None` for what is small or touches the image's edge.
+/// The convex hull of runs (ordered by row), clockwise in the image; `None` for what is small or touches the image's
+/// edge.
 fn hull_of(runs: &[Run], width: usize, height: usize) -> Option<Vec<(f64, f64)>> {
     let (first, last) = (runs.first()?, runs.last()?);
     let left = runs.iter().map(|run| run.first).min()?;

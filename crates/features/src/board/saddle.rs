@@ -64,8 +64,8 @@ impl Plane {
         Plane { width, height, data }
     }
 
-    /// Standard deviation of the image's noise, grey levels: the median of what a plane in three by three pixels does not explain (Immerkaer, "Fast noise
-    /// variance estimation", 1996). At least that of rounding to whole grey levels.
+    /// Standard deviation of the image's noise, grey levels: the median of what a plane in three by three pixels does
+    /// not explain (Immerkaer, "Fast noise variance estimation", 1996). At least that of rounding to whole grey levels.
     pub(super) fn noise(&self) -> f64 {
         let mut left = Vec::new();
         for y in (1..self.height.saturating_sub(1)).step_by(2) {

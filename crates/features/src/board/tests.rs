@@ -95,7 +95,8 @@ fn render(layout: &BoardLayout, shot: &Shot, seed: u64) -> GrayImage {
     render_bent(layout, shot, seed, |x, y| (x, y))
 }
 
-/// The same of a print that is not flat: `bent` takes a place on the plane to the place of the print that is seen there, in squares.
+/// The same of a print that is not flat: `bent` takes a place on the plane to the place of the print that is seen
+/// there, in squares.
 fn render_bent(layout: &BoardLayout, shot: &Shot, seed: u64, bent: impl Fn(f64, f64) -> (f64, f64)) -> GrayImage {
     const FINE: usize = 4;
     let inverse = homography(layout, shot).try_inverse().unwrap();

@@ -1,4 +1,5 @@
-//! ChArUco boards whose markers leave their corners a pixel or two, and small ones: they must be found, and as exactly as others.
+//! ChArUco boards whose markers leave their corners a pixel or two, and small ones: they must be found, and as exactly
+//! as others.
 //!
 //! The larger set with OpenCV beside it is `benchmarks/features/boards.py`.
 
@@ -72,7 +73,8 @@ fn sigmas_are_what_corners_scatter() {
     }
 }
 
-/// Boards of OpenCV before 4.6 with an even number of rows of squares begin with a white one; they are known by their markers.
+/// Boards of OpenCV before 4.6 with an even number of rows of squares begin with a white one; they are known by their
+/// markers.
 #[test]
 fn the_pattern_of_old_boards_is_known_by_its_markers() {
     for (columns, marker) in [(6, 0.7), (6, 0.875), (7, 0.875)] {
