@@ -71,8 +71,9 @@ pub fn detect_board(
     if let Some(markers) = &layout.markers
         && !is_whole(&best)
     {
-        for grid in from_markers::grids(&full, layout, markers, options) {
-            search.judge(&grid, &mut best);
+        let (grids, is_clipped) = from_markers::grids(&full, layout, markers, options);
+        for grid in grids {
+            search.judge(&grid, is_clipped, &mut best);
         }
     }
     Ok(best)
@@ -135,19 +136,20 @@ impl Search<'_> {
             for place in grid.corners.values_mut() {
                 *place = (to_full(place.0), to_full(place.1));
             }
-            self.judge(&grid, best);
+            self.judge(&grid, false, best);
         }
     }
 
-    /// Makes a grid the best board, if it is one, and a larger one.
-    fn judge(&self, grid: &Grid, best: &mut Option<FoundBoard>) {
+    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only, under one
+    /// of the ways in which it may begin.
+    fn judge(&self, grid: &Grid, is_clipped: bool, best: &mut Option<FoundBoard>) {
         let larger = |count: usize| best.as_ref().is_none_or(|other| other.corners.len() < count);
         if grid.corners.len() < self.options.least_corners || !larger(grid.corners.len()) {
             return;
         }
         let (labellings, markers) = match &self.layout.markers {
             None => (possible(grid, self.layout), 0),
-            Some(markers) => match markers::read(self.full, grid, self.layout, markers) {
+            Some(markers) => match markers::read(self.full, grid, self.layout, markers, is_clipped) {
                 Some(found) => found,
                 None => return,
             },

@@ -13,7 +13,7 @@ use super::quads::{Quad, dark_quads};
 use super::saddle::Plane;
 use super::{BoardLayout, BoardOptions, MarkerLayout};
 use nalgebra::Matrix3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Markers farther apart than this say little of each other, in squares.
 const FAR: f64 = 4.5;
@@ -41,17 +41,29 @@ struct Placed {
     step_px: f64,
 }
 
-/// Grids over the markers of an image, counted as the board is; one for each way in which the board may begin.
-pub(super) fn grids(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout, options: &BoardOptions) -> Vec<Grid> {
+/// Grids over the markers of an image, counted as the board is, one for each way in which the board may begin; and
+/// whether its markers leave several.
+pub(super) fn grids(
+    image: &Plane,
+    layout: &BoardLayout,
+    markers: &MarkerLayout,
+    options: &BoardOptions,
+) -> (Vec<Grid>, bool) {
     let read = read_all(image, layout, markers);
     // OpenCV before 4.6 began boards with an even number of rows of squares with a white one.
     let beginnings: &[bool] = if layout.rows % 2 == 1 { &[true, false] } else { &[true] };
-    let grow = |first_is_black: &bool| {
+    let agree = |first_is_black: &bool| {
         let pattern = Pattern::of(layout, *first_is_black, options);
         let placed = agreeing(read.iter().filter_map(|marker| place(marker, &pattern, markers)).collect());
-        Growth { image, layout, pattern: &pattern }.grown(&placed)
+        let cells: BTreeSet<(i32, i32)> = placed.iter().map(|placed| placed.cell).collect();
+        (cells.len(), pattern, placed)
     };
-    beginnings.iter().map(grow).filter(|grid| !grid.corners.is_empty()).collect()
+    let mut ways: Vec<_> = beginnings.iter().map(agree).collect();
+    // Markers at the board's edge contradict the wrong beginning.
+    let most = ways.iter().map(|(cells, ..)| *cells).max().unwrap_or(0);
+    ways.retain(|(cells, ..)| *cells == most && most > 0);
+    let grown = ways.iter().map(|(_, pattern, placed)| Growth { image, layout, pattern }.grown(placed));
+    (grown.filter(|grid| !grid.corners.is_empty()).collect(), ways.len() > 1)
 }
 
 fn read_all(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout) -> Vec<Marker> {

@@ -16,11 +16,14 @@ const SAMPLES: usize = 3;
 
 /// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
 /// where fewer than two agree.
+///
+/// A grid that was clipped to the board under one beginning says nothing of the other: then all ways are told.
 pub(super) fn read(
     image: &Plane,
     grid: &Grid,
     layout: &BoardLayout,
     markers: &MarkerLayout,
+    is_clipped: bool,
 ) -> Option<(Vec<Labelling>, usize)> {
     // OpenCV before 4.6 began boards with an even number of rows of squares with a white one.
     let cells = [true, false].map(|first_is_black| marked_cells(layout, first_is_black));
@@ -49,6 +52,9 @@ pub(super) fn read(
         grid.corners.keys().filter(inside).count()
     };
     let tied: Vec<Labelling> = votes.into_iter().filter(|(_, count)| *count == most).map(|(way, _)| way).collect();
+    if is_clipped {
+        return Some((tied, most));
+    }
     let held = tied.iter().map(on_board).max()?;
     Some((tied.into_iter().filter(|way| on_board(way) == held).collect(), most))
 }

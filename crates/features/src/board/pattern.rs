@@ -14,8 +14,9 @@ const POINTS: (usize, usize) = (9, 25);
 /// Steps of the alignment at most, and when it stands still, px.
 const ROUNDS: usize = 12;
 const STILL_PX: f64 = 1e-3;
-/// A print is not aligned farther than this from the best place of a whole pixel.
+/// A print is not aligned farther than this from where it starts, px or squares, whichever is more.
 const MAX_MOVED_PX: f64 = 1.5;
+const MAX_MOVED_SQUARES: f64 = 0.08;
 /// The print is blurred by a box of this half width before it is compared, px.
 const BLUR_PX: f64 = 1.0;
 /// Samples of the print in that box, each way.
@@ -88,7 +89,14 @@ impl<'a> Pattern<'a> {
         image_from_board: &Matrix3<f64>,
         search_px: i32,
     ) -> Option<Aligned> {
-        let print = self.patch((f64::from(column), f64::from(row)), image_from_board);
+        let corner = (f64::from(column), f64::from(row));
+        // At the image's edge a smaller window is whole.
+        let (right, bottom) = (image.width as f64 - 1.0, image.height as f64 - 1.0);
+        let inside_px = place.0.min(place.1).min(right - place.0).min(bottom - place.1) - 2.0;
+        let print = self.patch(corner, image_from_board, inside_px);
+        let shortest_px =
+            axes(image_from_board, corner).map(|axis| axis.0.hypot(axis.1)).into_iter().fold(f64::MAX, f64::min);
+        let max_moved_px = MAX_MOVED_PX.max(MAX_MOVED_SQUARES * shortest_px);
         let mut best = (f64::MIN, place);
         let range = -search_px..=search_px;
         for (dx, dy) in range.clone().flat_map(|dy| range.clone().map(move |dx| (dx, dy))) {
@@ -104,7 +112,7 @@ impl<'a> Pattern<'a> {
             let (step, gain) = print.step(image, (aligned.x, aligned.y))?;
             aligned = Aligned { x: aligned.x + step.0, y: aligned.y + step.1, noise_gain: gain };
             let moved = (aligned.x - best.1.0).hypot(aligned.y - best.1.1);
-            if moved.is_nan() || moved > MAX_MOVED_PX {
+            if moved.is_nan() || moved > max_moved_px {
                 return None;
             }
             if step.0.hypot(step.1) < STILL_PX {
@@ -116,11 +124,12 @@ impl<'a> Pattern<'a> {
     }
 
     /// The print about a corner as a camera would see it.
-    fn patch(&self, (column, row): (f64, f64), image_from_board: &Matrix3<f64>) -> Patch {
+    fn patch(&self, (column, row): (f64, f64), image_from_board: &Matrix3<f64>, max_px: f64) -> Patch {
         let middle = project(image_from_board, column, row);
         let axes = axes(image_from_board, (column, row));
         let lengths = axes.map(|axis| axis.0.hypot(axis.1).max(1e-6));
-        let reach = lengths.map(|length| self.reach.0.min(self.reach.1 / length).max(MIN_REACH_PX / length));
+        let max_px = self.reach.1.min(max_px);
+        let reach = lengths.map(|length| self.reach.0.min(max_px / length).max(MIN_REACH_PX / length));
         let blur = lengths.map(|length| BLUR_PX / length);
         // About a point a pixel.
         let count = |k: usize| ((2.0 * reach[k] * lengths[k]).ceil() as usize).clamp(POINTS.0, POINTS.1);

@@ -37,7 +37,7 @@ const ROUNDS: usize = 8;
 const TUKEY: f64 = 4.685;
 /// A corner so many sigma off, and by the first part of a square, is none; nor is one by the second part.
 const OUTLIER_SIGMAS: f64 = 8.0;
-const OUTLIER_SQUARES: (f64, f64) = (0.01, 0.12);
+const OUTLIER_SQUARES: (f64, f64) = (0.015, 0.12);
 /// A grid that scatters by more than this part of a square is none.
 const MAX_SCATTER_SQUARES: f64 = 0.05;
 /// Corners from which a polynomial is fitted besides the homography, its degree, and the parameters of both.

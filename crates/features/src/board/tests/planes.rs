@@ -24,7 +24,7 @@ fn a_lens_makes_no_false_grid() {
         let (columns, rows) = (f64::from(layout.columns), f64::from(layout.rows));
         let bent = |x: f64, y: f64| {
             let (u, v) = (x - 0.5 * (columns - 1.0), y - 0.5 * (rows - 1.0));
-            let scale = 1.0 + 0.25 * (u * u + v * v) / (columns * columns);
+            let scale = 1.0 + 0.12 * (u * u + v * v) / (columns * columns);
             (x + u * (scale - 1.0), y + v * (scale - 1.0))
         };
         let found = detect_board(&render_bent(&layout, &PLAIN, 1, bent), &layout, &BoardOptions::default()).unwrap();
