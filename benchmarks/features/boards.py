@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Board detection of this crate against OpenCV's on rendered boards with known corners, in one run.
 
-    python3 benchmarks/features/boards.py [--quick] [--keep FOLDER]
+    python3 benchmarks/features/boards.py [IMAGES] [--keep FOLDER]
 
 Rendered: OpenCV's own board image through a pinhole camera with mild radial distortion, 5 x 5 samples a pixel, then
 light that falls off, blur, noise and 8 bits, on a cluttered background; a part of the boards is hidden or out of view.
@@ -11,6 +11,7 @@ and, on plain checkerboards, `cv2.findChessboardCornersSB`, both as they come.
 found: boards of which at least 9 corners (of a checkerboard: all) were reported and at most a tenth of them is false; false
 corner: farther than 1 px and 0.08 squares from where it is; false grid: more than a tenth of the corners is false, or any grid
 where there is no board. Errors are distances to the truth over all true corners, px; z is error / (sigma sqrt 2) as RMS.
+IMAGES is how many are made for a marker size, square and dictionary (6); --keep leaves those of the last cell in a folder.
 The script makes a virtual environment beside itself with OpenCV below version 5, or uses the one in `SKCLAM_BENCH_VENV`.
 """
 
@@ -278,7 +279,7 @@ def main():
     cv2.setNumThreads(1)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it warns of narrow margins for each board
     subprocess.run(["cargo", "build", "--release", "-q", "-p", "skclam-features", "--example", "detect_boards"], cwd=ROOT, check=True)
-    count = 2 if "--quick" in sys.argv else 6
+    count = int(sys.argv[1]) if sys.argv[1:] and sys.argv[1].isdigit() else 6
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}, {count} images a marker size, square and dictionary\n")
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(sys.argv[sys.argv.index("--keep") + 1] if "--keep" in sys.argv else temporary)
