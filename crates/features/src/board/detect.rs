@@ -1,12 +1,14 @@
 //! The detector from image to labelled corners.
 
 use super::grid::{Grid, grids};
-use super::labelling::possible;
+use super::labelling::{keeps_colours, possible};
+use super::pattern::{Aligned, MIN_REACH_PX, Pattern};
 use super::saddle::{Plane, candidates};
-use super::{BoardLayout, FoundBoard, GridCorner, markers, subpixel};
+use super::{BoardLayout, FoundBoard, GridCorner, Labelling, from_markers, markers, plane};
 use crate::FeaturesError;
 use image::GrayImage;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Settings of the board detector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -18,22 +20,20 @@ pub struct BoardOptions {
     pub halvings: u32,
     /// A board with fewer corners in view is not told.
     pub least_corners: usize,
-    /// Half the window of the refinement, in sides of a square.
+    /// Half the window within which a corner's print is aligned with the image, in sides of a square.
     pub window: f64,
-    /// Half the window at most, px.
+    /// Half that window at most, px; at least it is 4 px.
     pub most_window_px: f64,
 }
 
 impl Default for BoardOptions {
     fn default() -> Self {
-        BoardOptions { smoothing_px: 1.2, halvings: 3, least_corners: 9, window: 0.35, most_window_px: 14.0 }
+        BoardOptions { smoothing_px: 1.2, halvings: 3, least_corners: 9, window: 0.3, most_window_px: 40.0 }
     }
 }
 
 /// Pixels of an image at most; more would take gigabytes.
 const MOST_PIXELS: u64 = 1 << 28;
-/// Half the window of the refinement at least, px.
-const LEAST_WINDOW_PX: f64 = 2.5;
 /// Grids that are looked at in an image.
 const GRIDS: usize = 6;
 
@@ -51,9 +51,11 @@ pub fn detect_board(
         return Ok(None);
     }
     let full = Plane::of(image);
+    let search = Search { noise: full.noise(), full: &full, layout, options };
     let mut level = full.clone();
-    let mut best: Option<(FoundBoard, Grid)> = None;
+    let mut best: Option<FoundBoard> = None;
     let whole = (layout.columns * layout.rows) as usize;
+    let is_whole = |best: &Option<FoundBoard>| best.as_ref().is_some_and(|board| board.corners.len() >= whole);
     for halving in 0..=options.halvings {
         if halving > 0 {
             level = level.halved();
@@ -61,16 +63,20 @@ pub fn detect_board(
         if level.width < 16 || level.height < 16 {
             break;
         }
-        if let Some(found) = in_level(&level, &full, halving, layout, options)
-            && best.as_ref().is_none_or(|(board, _)| board.corners.len() < found.0.corners.len())
-        {
-            best = Some(found);
-        }
-        if best.as_ref().is_some_and(|(board, _)| board.corners.len() >= whole) {
+        search.in_level(&level, halving, &mut best);
+        if is_whole(&best) {
             break;
         }
     }
-    Ok(best.map(|(board, _)| board).filter(|board| board.corners.len() >= options.least_corners))
+    if let Some(markers) = &layout.markers
+        && !is_whole(&best)
+    {
+        let (grids, is_clipped) = from_markers::grids(&full, layout, markers, options);
+        for grid in grids {
+            search.judge(&grid, is_clipped, &mut best);
+        }
+    }
+    Ok(best)
 }
 
 fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Result<(), FeaturesError> {
@@ -85,8 +91,8 @@ fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Res
     if !(0.05..=0.5).contains(&options.window) {
         return bad("window", options.window.to_string(), "0.05 to 0.5 sides of a square");
     }
-    if !(LEAST_WINDOW_PX..=100.0).contains(&options.most_window_px) {
-        return bad("most_window_px", options.most_window_px.to_string(), "2.5 to 100 px");
+    if !(MIN_REACH_PX..=100.0).contains(&options.most_window_px) {
+        return bad("most_window_px", options.most_window_px.to_string(), "4 to 100 px");
     }
     if !(2..=1000).contains(&layout.columns) || !(2..=1000).contains(&layout.rows) {
         let got = format!("{} x {}", layout.columns, layout.rows);
@@ -105,63 +111,118 @@ fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Res
     Ok(())
 }
 
-/// The largest board of one level of the pyramid, its corners refined in the full image.
-fn in_level(
-    level: &Plane,
-    full: &Plane,
-    halving: u32,
-    layout: &BoardLayout,
-    options: &BoardOptions,
-) -> Option<(FoundBoard, Grid)> {
-    let smooth = level.smoothed(options.smoothing_px as f32);
-    let strength = smooth.saddle_strength();
-    let found = candidates(&smooth, &strength);
-    let most = (layout.columns as i32, layout.rows as i32);
-    let scale = f64::from(1u32 << halving);
-    // Pixel x of a level is at scale x + (scale - 1) / 2 of the full image.
-    let to_full = |v: f32| (f64::from(v) * scale + 0.5 * (scale - 1.0)) as f32;
-    let mut best: Option<(FoundBoard, Grid)> = None;
-    for mut grid in grids(&found).into_iter().take(GRIDS) {
-        grid.complete(&smooth, &strength, most);
-        grid.drop_bent();
-        for place in grid.corners.values_mut() {
-            *place = (to_full(place.0), to_full(place.1));
+/// What a board is looked for in.
+struct Search<'a> {
+    full: &'a Plane,
+    /// Sigma of the image's noise, grey levels.
+    noise: f64,
+    layout: &'a BoardLayout,
+    options: &'a BoardOptions,
+}
+
+impl Search<'_> {
+    /// Looks for a larger board than the best one in one level of the pyramid.
+    fn in_level(&self, level: &Plane, halving: u32, best: &mut Option<FoundBoard>) {
+        let smooth = level.smoothed(self.options.smoothing_px as f32);
+        let strength = smooth.saddle_strength();
+        let found = candidates(&smooth, &strength);
+        let most = (self.layout.columns as i32, self.layout.rows as i32);
+        let scale = f64::from(1u32 << halving);
+        // Pixel x of a level is at scale x + (scale - 1) / 2 of the full image.
+        let to_full = |v: f32| (f64::from(v) * scale + 0.5 * (scale - 1.0)) as f32;
+        for mut grid in grids(&found).into_iter().take(GRIDS) {
+            grid.complete(&smooth, &strength, most);
+            grid.drop_bent();
+            for place in grid.corners.values_mut() {
+                *place = (to_full(place.0), to_full(place.1));
+            }
+            self.judge(&grid, false, best);
         }
-        if grid.corners.len() < options.least_corners {
-            continue;
+    }
+
+    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only, under one
+    /// of the ways in which it may begin.
+    fn judge(&self, grid: &Grid, is_clipped: bool, best: &mut Option<FoundBoard>) {
+        let larger = |count: usize| best.as_ref().is_none_or(|other| other.corners.len() < count);
+        if grid.corners.len() < self.options.least_corners || !larger(grid.corners.len()) {
+            return;
         }
-        let (labellings, markers) = match &layout.markers {
-            None => (possible(&grid, layout), 0),
-            Some(markers) => match markers::read(full, &grid, layout, markers) {
+        let (labellings, markers) = match &self.layout.markers {
+            None => (possible(grid, self.layout), 0),
+            Some(markers) => match markers::read(self.full, grid, self.layout, markers, is_clipped) {
                 Some(found) => found,
-                None => continue,
+                None => return,
             },
         };
         if labellings.is_empty() {
-            continue;
+            return;
         }
-        let board = FoundBoard { corners: refined(full, &grid, layout, options), labellings, markers };
-        if best.as_ref().is_none_or(|(other, _)| other.corners.len() < board.corners.len()) {
-            best = Some((board, grid));
+        let Some(corners) = self.on_a_plane(self.refined(grid, &labellings[0])) else { return };
+        if larger(corners.len()) {
+            let squares = corners.iter().map(|corner| corner.sigma_px.powi(2)).sum::<f64>();
+            let sigma_px = (squares / corners.len() as f64).sqrt();
+            *best = Some(FoundBoard { corners, labellings, markers, sigma_px });
         }
     }
-    best
+
+    /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those
+    /// that cannot be are left out.
+    fn refined(&self, grid: &Grid, labelling: &Labelling) -> Vec<(GridCorner, f64)> {
+        // Where a grid can be counted in several ways, the print about its corners is the same in all.
+        let print = Print::new(self.layout, grid, labelling, self.options);
+        let refine = |&(row, column): &(i32, i32)| {
+            let step_px = f64::from(grid.step(row, column)?);
+            let found = print.align(self.full, labelling.of(column, row))?;
+            let sigma_px = self.noise * found.noise_gain;
+            Some((GridCorner { column, row, x: found.x, y: found.y, sigma_px }, step_px))
+        };
+        grid.corners.keys().filter_map(refine).collect()
+    }
+
+    /// The corners that lie on a plane, their sigmas raised to what they scatter about it; `None` where they are none.
+    fn on_a_plane(&self, corners: Vec<(GridCorner, f64)>) -> Option<Vec<GridCorner>> {
+        let counted = |corner: &GridCorner| plane::Counted {
+            column: f64::from(corner.column),
+            row: f64::from(corner.row),
+            x: corner.x,
+            y: corner.y,
+        };
+        let points: Vec<plane::Counted> = corners.iter().map(|(corner, _)| counted(corner)).collect();
+        let mut steps: Vec<f64> = corners.iter().map(|(_, step_px)| *step_px).collect();
+        steps.sort_by(f64::total_cmp);
+        let fit = plane::fit(&points, *steps.get(steps.len() / 2)?, self.options.least_corners)?;
+        let kept = corners.into_iter().zip(fit.keeps).filter(|(_, keep)| *keep).map(|((corner, _), _)| corner);
+        let mut kept: Vec<GridCorner> = kept.collect();
+        let noise = kept.iter().map(|corner| corner.sigma_px.powi(2)).sum::<f64>() / kept.len() as f64;
+        let excess = (fit.scatter_px.powi(2) - noise).max(0.0);
+        for corner in &mut kept {
+            corner.sigma_px = (corner.sigma_px.powi(2) + excess).sqrt();
+        }
+        Some(kept)
+    }
 }
 
-/// The grid's corners, refined; those that cannot be are left out.
-fn refined(full: &Plane, grid: &Grid, layout: &BoardLayout, options: &BoardOptions) -> Vec<GridCorner> {
-    // No marker may reach into the window: it begins half of what it leaves free from the corner, on both axes.
-    let free = layout
-        .markers
-        .as_ref()
-        .map_or(0.5, |markers| 0.5 * (1.0 - markers.marker_in_square) * std::f64::consts::SQRT_2);
-    grid.corners
-        .iter()
-        .filter_map(|(&(row, column), &(x, y))| {
-            let step = f64::from(grid.step(row, column)?);
-            let radius = (options.window.min(free) * step).clamp(LEAST_WINDOW_PX, options.most_window_px);
-            let (x, y) = subpixel::refine(full, (f64::from(x), f64::from(y)), radius)?;
-            Some(GridCorner { column, row, x, y })
-        })
-        .collect()
+/// The print of a board over a grid that is counted.
+struct Print<'a> {
+    pattern: Pattern<'a>,
+    /// The grid's corners by the board's row and column.
+    corners: BTreeMap<(i32, i32), (f64, f64)>,
+}
+
+impl<'a> Print<'a> {
+    fn new(layout: &'a BoardLayout, grid: &Grid, labelling: &Labelling, options: &BoardOptions) -> Self {
+        let on_board = |(&(row, column), &(x, y)): (&(i32, i32), &(f32, f32))| {
+            let (column, row) = labelling.of(column, row);
+            ((row, column), (f64::from(x), f64::from(y)))
+        };
+        let pattern = Pattern::of(layout, keeps_colours(grid, labelling), options);
+        Print { pattern, corners: grid.corners.iter().map(on_board).collect() }
+    }
+
+    /// A corner (column, row) by the whole print about it.
+    fn align(&self, image: &Plane, (column, row): (i32, i32)) -> Option<Aligned> {
+        let h = from_markers::nearby(&self.corners, (row, column))?;
+        let place = *self.corners.get(&(row, column))?;
+        self.pattern.align(image, (column, row), place, &h, 0)
+    }
 }

@@ -14,6 +14,9 @@ pub struct GridCorner {
     pub x: f64,
     /// Position, px.
     pub y: f64,
+    /// Standard deviation of the position along an axis, px: from the image's noise and the gradients about the corner,
+    /// and from how far the board's corners scatter about a smoothly bent plane beyond that.
+    pub sigma_px: f64,
 }
 
 /// An inner corner of the board.
@@ -27,6 +30,8 @@ pub struct BoardCorner {
     pub x: f64,
     /// Position, px.
     pub y: f64,
+    /// As [`GridCorner::sigma_px`].
+    pub sigma_px: f64,
 }
 
 /// One way to count: the grid is turned, then shifted.
@@ -57,11 +62,13 @@ impl Labelling {
 pub struct FoundBoard {
     /// Every corner, in any count.
     pub corners: Vec<GridCorner>,
-    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when turned, or a part of it is out of
-    /// view.
+    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when
+    /// turned, or a part of it is out of view.
     pub labellings: Vec<Labelling>,
     /// Markers that were read.
     pub markers: usize,
+    /// RMS of the corners' sigmas, px.
+    pub sigma_px: f64,
 }
 
 impl FoundBoard {
@@ -74,7 +81,7 @@ impl FoundBoard {
                 let (column, row) = labelling.of(corner.column, corner.row);
                 let (column, row) = (u32::try_from(column).ok()?, u32::try_from(row).ok()?);
                 let inside = column < layout.columns && row < layout.rows;
-                inside.then_some(BoardCorner { column, row, x: corner.x, y: corner.y })
+                inside.then_some(BoardCorner { column, row, x: corner.x, y: corner.y, sigma_px: corner.sigma_px })
             })
             .collect();
         corners.sort_by_key(|corner| (corner.row, corner.column));
@@ -84,9 +91,9 @@ impl FoundBoard {
 
 /// Labellings that put every corner of the grid on the board, by its size and its colours alone.
 ///
-/// The square beyond corner (0, 0), at larger column and row, is dark as the board's first square is. On a board whose columns and rows are
-/// both even or both odd half a turn leaves the colours as they are, and the other half of all boards of that size has them swapped: there
-/// colours say nothing.
+/// The square beyond corner (0, 0), at larger column and row, is dark as the board's first square is. On a board whose
+/// columns and rows are both even or both odd half a turn leaves the colours as they are, and the other half of all
+/// boards of that size has them swapped: there colours say nothing.
 pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
     let ((top, bottom), (left, right)) = grid.bounds();
     let (columns, rows) = (layout.columns as i32, layout.rows as i32);
@@ -109,8 +116,8 @@ pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
 
 /// Whether dark squares of the grid are dark on the board.
 pub(super) fn keeps_colours(grid: &Grid, labelling: &Labelling) -> bool {
-    // The square beyond a grid's corner, at larger column and row, has this corner at its least column and row: (column, row). After a
-    // quarter turn the corner with the least column and row of the same square is another one.
+    // The square beyond a grid's corner, at larger column and row, has this corner at its least column and row:
+    // (column, row). After a quarter turn the corner with the least column and row of the same square is another one.
     let Some((&(row, column), _)) = grid.corners.iter().next() else { return false };
     let (a, b) = (labelling.of(column, row), labelling.of(column + 1, row + 1));
     let (least_column, least_row) = (a.0.min(b.0), a.1.min(b.1));
@@ -141,9 +148,10 @@ mod tests {
         assert_eq!(lying[0].turns % 2, 1);
         // Every labelling counts each corner once.
         let found = FoundBoard {
-            corners: (0..8).map(|c| GridCorner { column: c, row: 10, x: 0.0, y: 0.0 }).collect(),
+            corners: (0..8).map(|c| GridCorner { column: c, row: 10, x: 0.0, y: 0.0, sigma_px: 0.1 }).collect(),
             labellings: lying.clone(),
             markers: 0,
+            sigma_px: 0.1,
         };
         assert_eq!(found.labelled(&lying[0], &layout(11, 8)).len(), 8);
     }

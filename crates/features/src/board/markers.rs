@@ -3,7 +3,7 @@
 use super::grid::Grid;
 use super::labelling::Labelling;
 use super::saddle::Plane;
-use super::{BoardLayout, MarkerLayout};
+use super::{BoardLayout, Dictionary, MarkerLayout};
 use nalgebra::{Matrix3, SMatrix, SVector};
 use std::collections::BTreeMap;
 
@@ -14,13 +14,16 @@ const BORDER_ERRORS: f64 = 0.1;
 /// Samples along a side of a bit.
 const SAMPLES: usize = 3;
 
-/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None` where fewer than two
-/// agree.
+/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
+/// where fewer than two agree.
+///
+/// A grid that was clipped to the board under one beginning says nothing of the other: then all ways are told.
 pub(super) fn read(
     image: &Plane,
     grid: &Grid,
     layout: &BoardLayout,
     markers: &MarkerLayout,
+    is_clipped: bool,
 ) -> Option<(Vec<Labelling>, usize)> {
     // OpenCV before 4.6 began boards with an even number of rows of squares with a white one.
     let cells = [true, false].map(|first_is_black| marked_cells(layout, first_is_black));
@@ -39,8 +42,8 @@ pub(super) fn read(
     if most < 2 || 2 * most <= all {
         return None;
     }
-    // On a board with an odd number of columns of squares, inner markers alone fit both beginnings, a column apart. The whole of a board lies
-    // on itself under one of them only; of a part both are told.
+    // On a board with an odd number of columns of squares, inner markers alone fit both beginnings, a column apart. The
+    // whole of a board lies on itself under one of them only; of a part both are told.
     let on_board = |labelling: &Labelling| {
         let inside = |&&(row, column): &&(i32, i32)| {
             let (column, row) = labelling.of(column, row);
@@ -49,13 +52,16 @@ pub(super) fn read(
         grid.corners.keys().filter(inside).count()
     };
     let tied: Vec<Labelling> = votes.into_iter().filter(|(_, count)| *count == most).map(|(way, _)| way).collect();
+    if is_clipped {
+        return Some((tied, most));
+    }
     let held = tied.iter().map(on_board).max()?;
     Some((tied.into_iter().filter(|way| on_board(way) == held).collect(), most))
 }
 
-/// Column and row of the white squares' first corners, in the order of the markers' numbers. Squares at the board's edge have their first
-/// corner outside: (-1, ...).
-fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
+/// Column and row of the white squares' first corners, in the order of the markers' numbers. Squares at the board's
+/// edge have their first corner outside: (-1, ...).
+pub(super) fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
     let white = if first_is_black { 1 } else { 0 };
     (0..=layout.rows as i32)
         .flat_map(|row| (0..=layout.columns as i32).map(move |column| (column, row)))
@@ -64,17 +70,19 @@ fn marked_cells(layout: &BoardLayout, first_is_black: bool) -> Vec<(i32, i32)> {
         .collect()
 }
 
-/// The labelling under which the grid's square at `first` (its corner of least column and row) with its marker turned by `turns` quarters clockwise is the
-/// board's square at `cell`.
+/// The labelling under which the grid's square at `first` (its corner of least column and row) with its marker turned
+/// by `turns` quarters clockwise is the board's square at `cell`.
 fn labelling_of(turns: usize, first: (i32, i32), cell: (i32, i32)) -> Labelling {
-    // A marker turned clockwise by t quarters has its own x along the grid's direction t of (+column, +row, -column, -row).
+    // A marker turned clockwise by t quarters has its own x along the grid's direction t of (+column, +row, -column,
+    // -row).
     let turns = (turns % 4) as u8;
     let unshifted = Labelling { turns, column: 0, row: 0 };
     let (a, b) = (unshifted.of(first.0, first.1), unshifted.of(first.0 + 1, first.1 + 1));
     Labelling { turns, column: cell.0 - a.0.min(b.0), row: cell.1 - a.1.min(b.1) }
 }
 
-/// The marker in the grid's square whose corner of least column and row is given: its number, and its quarter turns clockwise against the grid.
+/// The marker in the grid's square whose corner of least column and row is given: its number, and its quarter turns
+/// clockwise against the grid.
 fn read_cell(
     image: &Plane,
     grid: &Grid,
@@ -86,18 +94,31 @@ fn read_cell(
     let corner = |dr: i32, dc: i32| grid.at(row + dr, column + dc);
     let corners = [corner(0, 0)?, corner(0, 1)?, corner(1, 1)?, corner(1, 0)?];
     let image_from_square = homography(&corners)?;
-    let side = markers.dictionary.side() + 2;
     let margin = 0.5 * (1.0 - markers.marker_in_square);
-    let bit = markers.marker_in_square / side as f64;
+    let side = markers.marker_in_square;
+    let square_from_marker = Matrix3::new(side, 0.0, margin, 0.0, side, margin, 0.0, 0.0, 1.0);
+    read_marker(image, &(image_from_square * square_from_marker), &markers.dictionary, count)
+}
+
+/// The marker in a quadrilateral of the image, given by the homography from the unit square: its number among the first
+/// `count`, and its quarter turns clockwise against the square.
+pub(super) fn read_marker(
+    image: &Plane,
+    image_from_marker: &Matrix3<f64>,
+    dictionary: &Dictionary,
+    count: usize,
+) -> Option<(usize, usize)> {
+    let side = dictionary.side() + 2;
+    let bit = 1.0 / side as f64;
     let mut means = vec![0.0f32; side * side];
     for (at, mean) in means.iter_mut().enumerate() {
         let (bit_row, bit_column) = (at / side, at % side);
         for k in 0..SAMPLES * SAMPLES {
             // The inner half of a bit.
             let offset = |k: usize| 0.25 + 0.5 * (k as f64 + 0.5) / SAMPLES as f64;
-            let x = margin + bit * (bit_column as f64 + offset(k % SAMPLES));
-            let y = margin + bit * (bit_row as f64 + offset(k / SAMPLES));
-            let p = image_from_square * nalgebra::Vector3::new(x, y, 1.0);
+            let x = bit * (bit_column as f64 + offset(k % SAMPLES));
+            let y = bit * (bit_row as f64 + offset(k / SAMPLES));
+            let p = image_from_marker * nalgebra::Vector3::new(x, y, 1.0);
             *mean += image.sample((p.x / p.z) as f32, (p.y / p.z) as f32)?;
         }
         *mean /= (SAMPLES * SAMPLES) as f32;
@@ -114,10 +135,11 @@ fn read_cell(
     let bits = (0..means.len())
         .filter(|&at| !on_border(at))
         .fold(0u64, |bits, at| bits << 1 | u64::from(means[at] > threshold));
-    markers.dictionary.find(bits, count)
+    dictionary.find(bits, count)
 }
 
-/// Between the dark and the bright values, where the two classes are farthest apart (Otsu 1979); `None` where all are alike.
+/// Between the dark and the bright values, where the two classes are farthest apart (Otsu 1979); `None` where all are
+/// alike.
 fn threshold(values: &[f32]) -> Option<f32> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f32::total_cmp);

@@ -1,22 +1,29 @@
 //! Calibration boards in an image: checkerboards and ChArUco boards, whole or in part, as labelled inner corners.
 //!
-//! 1. Saddle points of the smoothed image are candidates: there the determinant of the Hessian is strongly negative. A circle about
-//!    each must show two dark and two bright sectors (the idea of ChESS: Bennett and Lasenby, "ChESS - quick and robust detection of
-//!    chess-board features", 2014).
-//! 2. A grid grows over them (`grid`): neighbours lie along each other's edges, dark and bright swap sides from one to the next. This is a
-//!    local rule, so lens distortion, perspective and hidden parts of the board are no matter.
-//! 3. Corners are refined to a few hundredths of a pixel (`subpixel`), by the gradients about them (Foerstner and Guelch, "A fast operator for detection
-//!    and precise location of distinct points, corners and centres of circular features", 1987).
-//! 4. Columns and rows are counted (`labelling`). The markers of a ChArUco board name them; on a checkerboard the size and the colours may leave
-//!    several ways, and all are told.
+//! 1. Saddle points of the smoothed image are candidates: there the determinant of the Hessian is strongly negative. A
+//!    circle about each must show two dark and two bright sectors (the idea of ChESS: Bennett and Lasenby, "ChESS -
+//!    quick and robust detection of chess-board features", 2014).
+//! 2. A grid grows over them (`grid`): neighbours lie along each other's edges, dark and bright swap sides from one to
+//!    the next. This is a local rule, so lens distortion, perspective and hidden parts of the board are no matter.
+//! 3. Where the markers of a ChArUco board leave its corners little room, they come first (`quads`, `from_markers`) and
+//!    predict the corners.
+//! 4. Corners are refined to about a hundredth of a pixel (`pattern`): the print about each, seen in the perspective of
+//!    its neighbours, is aligned with the image.
+//! 5. Columns and rows are counted (`labelling`). The markers of a ChArUco board name them; on a checkerboard the size
+//!    and the colours may leave several ways, and all are told.
+//! 6. Corners that lie on no plane, bent as a lens would bend it, are no board's (`plane`); what they scatter about it
+//!    is in their sigma.
 
 mod detect;
 pub mod dictionary;
+mod from_markers;
 mod grid;
 mod labelling;
 mod markers;
+mod pattern;
+mod plane;
+mod quads;
 mod saddle;
-mod subpixel;
 #[cfg(test)]
 mod tests;
 
@@ -26,8 +33,8 @@ pub use labelling::{BoardCorner, FoundBoard, GridCorner, Labelling};
 
 /// What is printed on a board.
 ///
-/// Corner (0, 0) is the inner corner between the board's first square, which is black, and its neighbours; columns run along x, rows along y, and
-/// y is a quarter turn clockwise from x for who looks at the print.
+/// Corner (0, 0) is the inner corner between the board's first square, which is black, and its neighbours; columns run
+/// along x, rows along y, and y is a quarter turn clockwise from x for who looks at the print.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardLayout {
     /// Inner corners along x.

@@ -64,6 +64,25 @@ impl Plane {
         Plane { width, height, data }
     }
 
+    /// Standard deviation of the image's noise, grey levels: the median of what a plane in three by three pixels does
+    /// not explain (Immerkaer, "Fast noise variance estimation", 1996). At least that of rounding to whole grey levels.
+    pub(super) fn noise(&self) -> f64 {
+        let mut left = Vec::new();
+        for y in (1..self.height.saturating_sub(1)).step_by(2) {
+            for x in (1..self.width.saturating_sub(1)).step_by(3) {
+                let row = |y: usize| self.at(x - 1, y) - 2.0 * self.at(x, y) + self.at(x + 1, y);
+                left.push((row(y - 1) - 2.0 * row(y) + row(y + 1)).abs());
+            }
+        }
+        let middle = left.len() / 2;
+        if left.is_empty() {
+            return ROUNDING;
+        }
+        let (_, median, _) = left.select_nth_unstable_by(middle, f32::total_cmp);
+        // The operator's weights have the norm 6; half of a normal distribution is within 0.6745 sigma.
+        (f64::from(*median) / (6.0 * 0.6745)).max(ROUNDING)
+    }
+
     /// Half the size: means of two by two pixels. Pixel (x, y) there is at (2x + 0.5, 2y + 0.5) here.
     pub(super) fn halved(&self) -> Plane {
         let (width, height) = (self.width / 2, self.height / 2);
@@ -101,6 +120,9 @@ impl Plane {
         Plane { width, height, data }
     }
 }
+
+/// Standard deviation of rounding to whole grey levels, 1 / sqrt 12.
+const ROUNDING: f64 = 0.289;
 
 /// A place that looks like a corner of a checkerboard.
 #[derive(Debug, Clone, Copy)]

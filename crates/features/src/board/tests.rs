@@ -7,6 +7,9 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+mod large_markers;
+mod planes;
+
 const SIZE: (u32, u32) = (640, 480);
 const FOCAL: f64 = 700.0;
 
@@ -25,9 +28,12 @@ struct Shot {
     noise: f64,
     /// What hides a part of the image: left, top, right, bottom.
     hidden: Option<[u32; 4]>,
+    /// Whether the print begins with a white square, as OpenCV's before 4.6 with an even number of rows.
+    old: bool,
 }
 
-const PLAIN: Shot = Shot { turn: [0.1, 0.3, -0.2], fills: 0.7, shift: (0.0, 0.0), blur: 0.7, noise: 1.0, hidden: None };
+const PLAIN: Shot =
+    Shot { turn: [0.1, 0.3, -0.2], fills: 0.7, shift: (0.0, 0.0), blur: 0.7, noise: 1.0, hidden: None, old: false };
 
 /// Pixel from square coordinates: (0, 0) is the first inner corner, a square has side 1.
 fn homography(layout: &BoardLayout, shot: &Shot) -> Matrix3<f64> {
@@ -55,7 +61,7 @@ fn homography(layout: &BoardLayout, shot: &Shot) -> Matrix3<f64> {
 }
 
 /// What is printed at a place, by squares: 1 white, 0 black.
-fn printed(layout: &BoardLayout, x: f64, y: f64) -> f64 {
+fn printed(layout: &BoardLayout, old: bool, x: f64, y: f64) -> f64 {
     let (columns, rows) = (f64::from(layout.columns), f64::from(layout.rows));
     let outside = |v: f64, count: f64, rim: f64| v < -1.0 - rim || v >= count + rim;
     if outside(x, columns, 0.6) || outside(y, rows, 0.6) {
@@ -65,15 +71,15 @@ fn printed(layout: &BoardLayout, x: f64, y: f64) -> f64 {
         return 1.0;
     }
     let (column, row) = (x.floor() as i32 + 1, y.floor() as i32 + 1);
-    if (column + row) % 2 == 0 {
+    let white = i32::from(!old);
+    if (column + row) % 2 != white {
         return 0.0;
     }
     let Some(markers) = &layout.markers else { return 1.0 };
-    let id = (0..=layout.rows as i32)
-        .flat_map(|r| (0..=layout.columns as i32).map(move |c| (c, r)))
-        .filter(|(c, r)| (c + r) % 2 == 1)
-        .position(|cell| cell == (column, row))
-        .unwrap();
+    // White squares among the first `count` of a row.
+    let among = |count: i32, row: i32| if row % 2 == white { (count + 1) / 2 } else { count / 2 };
+    let id = (0..row).map(|above| among(layout.columns as i32 + 1, above)).sum::<i32>() + among(column, row);
+    let id = id as usize;
     let side = markers.dictionary.side() as f64 + 2.0;
     let into = |v: f64| ((v - v.floor() - 0.5) / markers.marker_in_square + 0.5) * side;
     let (bx, by) = (into(x), into(y));
@@ -86,6 +92,12 @@ fn printed(layout: &BoardLayout, x: f64, y: f64) -> f64 {
 }
 
 fn render(layout: &BoardLayout, shot: &Shot, seed: u64) -> GrayImage {
+    render_bent(layout, shot, seed, |x, y| (x, y))
+}
+
+/// The same of a print that is not flat: `bent` takes a place on the plane to the place of the print that is seen
+/// there, in squares.
+fn render_bent(layout: &BoardLayout, shot: &Shot, seed: u64, bent: impl Fn(f64, f64) -> (f64, f64)) -> GrayImage {
     const FINE: usize = 4;
     let inverse = homography(layout, shot).try_inverse().unwrap();
     let mut sharp = saddle::Plane { width: SIZE.0 as usize, height: SIZE.1 as usize, data: Vec::new() };
@@ -98,7 +110,8 @@ fn render(layout: &BoardLayout, shot: &Shot, seed: u64) -> GrayImage {
             for k in 0..FINE * FINE {
                 let offset = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
                 let p = inverse * Vector3::new(x as f64 + offset(k % FINE), y as f64 + offset(k / FINE), 1.0);
-                sum += printed(layout, p.x / p.z, p.y / p.z);
+                let (x, y) = bent(p.x / p.z, p.y / p.z);
+                sum += printed(layout, shot.old, x, y);
             }
             // Light falls off to the right.
             let light = 1.0 - 0.4 * x as f64 / f64::from(SIZE.0);
