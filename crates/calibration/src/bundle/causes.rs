@@ -4,6 +4,9 @@
 //! step in time of one joint, a camera that slipped, a clock that is late, gears, compliance. With the posterior mean `e` and covariance `C` at `g = 0`, the score of the
 //! marginal likelihood is `s = B^T D^-1 e`, its information `M = B^T (D^-1 - D^-1 C D^-1) B`, the estimate `M^-1 s`, and twice the gain of the logarithm of the likelihood
 //! `s^T M^-1 s` (Rao's score test; Breslow and Clayton, "Approximate inference in generalized linear mixed models", 1993). Nothing is refitted.
+//!
+//! Postures at one arm position share errors, so that they are no independent witnesses. The smaller counts of the test above and of the one whose variance is that of the scores
+//! over arm positions (cluster-robust; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
 
 use crate::motion::Motion;
 use crate::{CalibrationError, Model, MountComponent, Parameter, PostureErrorKnowledge};
@@ -60,8 +63,10 @@ pub struct PatternFinding {
     pub freedom: usize,
 }
 
-/// Postures before and after a step at least.
+/// Arm positions before and after a step at least.
 const MIN_AROUND_STEP: usize = 3;
+/// Arm positions for each number of a pattern at least.
+const MIN_POSITIONS_A_NUMBER: usize = 3;
 /// Twice the gain of the log-likelihood from which a pattern of one number is believed: one in a million by chance alone, so that the number of patterns that are tried and
 /// errors that are not quite normal do not matter.
 const BELIEVED: f64 = 24.0;
@@ -73,8 +78,9 @@ pub(crate) fn error_patterns(
     model: &Model,
     motion: &Motion,
     knowledge: &PostureErrorKnowledge,
+    positions: &[usize],
 ) -> Result<Vec<PatternFinding>, CalibrationError> {
-    let tests = ScoreTests::new(knowledge);
+    let tests = ScoreTests::new(knowledge, positions);
     let postures = motion.len();
     let mut found = Vec::new();
     if motion.has_joints() {
@@ -106,7 +112,11 @@ pub(crate) fn error_patterns(
     Ok(found)
 }
 
-struct ScoreTests {
+struct ScoreTests<'a> {
+    /// The arm position of each posture.
+    positions: &'a [usize],
+    /// How many there are.
+    position_count: usize,
     components: usize,
     /// `D^-1 e`.
     score: DVector<f64>,
@@ -123,8 +133,8 @@ struct Fit {
     chi_squared: f64,
 }
 
-impl ScoreTests {
-    fn new(knowledge: &PostureErrorKnowledge) -> Self {
+impl<'a> ScoreTests<'a> {
+    fn new(knowledge: &PostureErrorKnowledge, positions: &'a [usize]) -> Self {
         let count = knowledge.mean.len();
         let weight = |k: usize| knowledge.sigmas[k].powi(-2);
         let information = DMatrix::from_fn(count, count, |i, j| {
@@ -132,6 +142,8 @@ impl ScoreTests {
             own - weight(i) * knowledge.covariance[(i, j)] * weight(j)
         });
         ScoreTests {
+            positions,
+            position_count: positions.iter().max().map_or(0, |last| last + 1),
             components: knowledge.components,
             score: DVector::from_fn(count, |k, _| weight(k) * knowledge.mean[k]),
             information,
@@ -154,7 +166,49 @@ impl ScoreTests {
         let information = design.transpose() * (&self.information * &design);
         let fit = Self::solve(&(design.transpose() * &self.score), &information)?;
         let (size, sigma) = amplitude(&fit, columns.len());
-        Some(PatternFinding { pattern, size, sigma, chi_squared: fit.chi_squared, freedom: columns.len() })
+        let c = self.components;
+        let chi_squared = self.robust(fit.chi_squared, columns.len(), &|posture| {
+            design.rows(posture * c, c).transpose() * self.score.rows(posture * c, c)
+        })?;
+        Some(PatternFinding { pattern, size, sigma, chi_squared, freedom: columns.len() })
+    }
+
+    /// The smaller of a model's chi squared and of the one whose variance is that of the scores over arm positions. `None` with too few of these.
+    fn robust(&self, model: f64, numbers: usize, score_of: &dyn Fn(usize) -> DVector<f64>) -> Option<f64> {
+        if self.position_count < MIN_POSITIONS_A_NUMBER * numbers {
+            return None;
+        }
+        let mut of_position = vec![DVector::zeros(numbers); self.position_count];
+        for (posture, &position) in self.positions.iter().enumerate() {
+            of_position[position] += score_of(posture);
+        }
+        let count = self.position_count as f64;
+        let total = of_position.iter().sum::<DVector<f64>>();
+        let mean = &total / count;
+        let mut variance = DMatrix::zeros(numbers, numbers);
+        for score in &of_position {
+            let away = score - &mean;
+            variance += &away * away.transpose() * (count / (count - numbers as f64));
+        }
+        let robust = Self::solve(&total, &variance)?.chi_squared;
+        Some(model.min(robust))
+    }
+
+    /// Whether a step at a posture leaves arm positions enough on both sides.
+    fn is_step(&self, from: usize) -> bool {
+        let distinct = |range: &[usize]| {
+            let mut positions = range.to_vec();
+            positions.sort_unstable();
+            positions.dedup();
+            positions.len() >= MIN_AROUND_STEP
+        };
+        distinct(&self.positions[..from]) && distinct(&self.positions[from..])
+    }
+
+    /// How much of a step a posture has, its mean taken out.
+    fn step_share(&self, posture: usize, from: usize) -> f64 {
+        let after = (self.positions.len() - from) as f64 / self.positions.len() as f64;
+        if posture >= from { 1.0 - after } else { -after }
     }
 
     /// The step of a joint that explains most.
@@ -166,10 +220,12 @@ impl ScoreTests {
             score += self.score[at(from)];
             let later: f64 = (from + 1..postures).map(|other| self.information[(at(from), at(other))]).sum();
             information += self.information[(at(from), at(from))] + 2.0 * later;
-            if from < MIN_AROUND_STEP || postures - from < MIN_AROUND_STEP || information <= 0.0 {
+            if information <= 0.0 || !self.is_step(from) {
                 continue;
             }
-            let chi_squared = score * score / information;
+            let of =
+                |posture: usize| DVector::from_element(1, self.step_share(posture, from) * self.score[at(posture)]);
+            let Some(chi_squared) = self.robust(score * score / information, 1, &of) else { continue };
             if best.is_none_or(|best| chi_squared > best.chi_squared) {
                 best = Some(PatternFinding {
                     pattern: ErrorPattern::JointStep { joint, from },
@@ -206,10 +262,16 @@ impl ScoreTests {
                 let cross = block(from, other);
                 information += &cross + cross.transpose();
             }
-            if from < MIN_AROUND_STEP || postures - from < MIN_AROUND_STEP {
+            if !self.is_step(from) {
                 continue;
             }
-            let Some(fit) = Self::solve(&score, &information) else { continue };
+            let Some(mut fit) = Self::solve(&score, &information) else { continue };
+            let c = self.components;
+            let of = |posture: usize| {
+                designs[posture].transpose() * self.score.rows(posture * c, c) * self.step_share(posture, from)
+            };
+            let Some(chi_squared) = self.robust(fit.chi_squared, 6, &of) else { continue };
+            fit.chi_squared = chi_squared;
             if best.as_ref().is_none_or(|(_, best)| fit.chi_squared > best.chi_squared) {
                 best = Some((from, fit));
             }

@@ -18,7 +18,7 @@ use crate::uncertainty::{covariance, describe};
 use crate::{
     BundleOptions, Calibration, CalibrationError, Correspondences, Loss, Model, Noise, Parameter,
     PostureErrorKnowledge, PostureFit, PriorScale, ReprojectionStatistics, Ruler, RulerPolicy, Termination, Warning,
-    free,
+    arm_positions, free,
 };
 use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
@@ -582,7 +582,7 @@ impl BundleAdjuster<'_> {
             postures: fits,
             posture_errors: state.posture_errors.chunks(components.max(1)).map(<[f64]>::to_vec).collect(),
             error_patterns: match &known.errors {
-                Some(errors) => error_patterns(&state.model, self.motion, errors)?,
+                Some(errors) => error_patterns(&state.model, self.motion, errors, &arm_positions(&data.postures))?,
                 None => Vec::new(),
             },
             posture_error_knowledge: known.errors,

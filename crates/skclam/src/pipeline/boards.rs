@@ -35,8 +35,8 @@ pub struct BoardSummary {
     pub calibrated_rms_px: Option<f64>,
 }
 
-/// Sigma of a corner, px, beside the refined positions of natural features.
-const CORNER_SIGMA_PX: f64 = 0.1;
+/// No corner is known better than this, px: print and lens are not exact.
+const MIN_CORNER_SIGMA_PX: f64 = 0.02;
 /// The right way to count must put the board so many times nearer to where the others see it than the next best one.
 const CLEARLY_NEARER: f64 = 2.0;
 /// Postures whose ways to count are tried as the one that is right.
@@ -112,7 +112,7 @@ pub fn find_boards(
                 let corners = corners(found, labelling, &layout);
                 summary.postures += 1;
                 summary.corners += corners.len();
-                boards.push(BoardObservation { posture, corners, sigma_px: CORNER_SIGMA_PX });
+                boards.push(BoardObservation { posture, corners, sigma_px: found.sigma_px.max(MIN_CORNER_SIGMA_PX) });
             }
         }
     }

@@ -56,7 +56,7 @@ pub fn verdict_sentence(case: &VerdictCase) -> String {
             held_out_text(held_out_px)
         ),
         VerdictCase::SigmaAboveChange { error } => format!(
-            "Do not use this calibration: it moves the camera by {} mm, and is itself uncertain by {} mm (one sigma, over your postures with the base frame fitted to them). More, \
+            "Do not use this calibration yet: it moves the camera by {} mm, and is itself uncertain by {} mm (one sigma, over your postures with the base frame fitted to them). More, \
              or more diverse, postures are needed.",
             short(error.change_mm),
             short(error.sigma_mm)

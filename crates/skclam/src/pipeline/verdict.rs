@@ -178,11 +178,12 @@ impl VerdictCase {
     /// What it calls for.
     pub fn grade(&self) -> VerdictGrade {
         match self {
-            VerdictCase::Unexplained { .. }
-            | VerdictCase::NotBetter { .. }
-            | VerdictCase::FitsNoBetter { .. }
-            | VerdictCase::SigmaAboveChange { .. } => VerdictGrade::Bad,
-            VerdictCase::NotHeldOut { .. }
+            VerdictCase::Unexplained { .. } | VerdictCase::NotBetter { .. } | VerdictCase::FitsNoBetter { .. } => {
+                VerdictGrade::Bad
+            }
+            // No alarm: it may well be right, but nobody can rely on it.
+            VerdictCase::SigmaAboveChange { .. }
+            | VerdictCase::NotHeldOut { .. }
             | VerdictCase::MountSuffices { .. }
             | VerdictCase::NoSigma { .. }
             | VerdictCase::BetterWithCause { .. }
@@ -263,7 +264,7 @@ mod tests {
                 "fell",
             ),
             ("no sigma", Evidence { error: None, ..good() }, None, Caution, "not estimated", "fell"),
-            ("sigma above change", Evidence { error: error(0.3, 0.5), ..good() }, None, Bad, "Do not use", "fell"),
+            ("sigma above change", Evidence { error: error(0.3, 0.5), ..good() }, None, Caution, "Do not use", "fell"),
             ("unchecked", Evidence { sigma_checked: false, ..good() }, None, Caution, "too few", "fell"),
             ("cause", good(), Some(&cause), Caution, "focal length", "DO NOT"),
             (
