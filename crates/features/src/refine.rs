@@ -17,7 +17,7 @@ pub use pyramid::Pyramid;
 use crate::{FeaturesError, KeyPoint};
 use align::{Fit, Freedom, Template, Warp};
 use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
-use pyramid::Cubic;
+use pyramid::{Cubic, Level};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -93,6 +93,18 @@ pub fn similarity(a: &KeyPoint, b: &KeyPoint) -> Matrix2<f64> {
     turn.matrix() * (f64::from(b.size) / f64::from(a.size))
 }
 
+/// The part of second order of a patch's change: an offset (u, v) px in image A moves what image B shows by `c0 uu + c1 uv + c2 vv` px
+/// beside the linear part, with three factors for each axis of B, 1/px.
+///
+/// A plane seen from two places has one (its homography is no affine map), and so has a lens with distortion. It is an even
+/// function: over a window it does not cancel, and what is aligned without it lies off by its weighted mean.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Bend(pub [[f64; 3]; 2]);
+
+/// Predicts the [`Bend`] of a match from its linear part and its place in image B (px) as they were found so far. `None`
+/// where nothing is known: the change is then taken as affine.
+pub type BendPrediction<'a> = &'a dyn Fn(&Matrix2<f64>, &Point2<f64>) -> Option<Bend>;
+
 /// A refined match.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Refined {
@@ -100,6 +112,8 @@ pub struct Refined {
     pub in_b: Point2<f64>,
     /// Its covariance, px².
     pub covariance: Matrix2<f64>,
+    /// EXPERIMENT
+    pub scattered: Matrix2<f64>,
     /// Zero-mean normalised correlation of the patches.
     pub correlation: f64,
     /// The change of the patch as it was found.
@@ -130,10 +144,10 @@ pub enum Rejection {
 const FINEST_SIZE_PX: f64 = 5.0;
 /// At rest, px of the level: the step after one of this length is a fraction of it.
 const AT_REST: f64 = 0.008;
+/// Nearly so, px of the level: the linear part then tells the slant of the surface well enough for what is of second order.
+const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
 const LEAST_CONTRAST: f64 = 1.0;
-/// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
-const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * pyramid::SMOOTHING_PX2;
 /// What interpolation and sensor leave whatever the noise says, px.
 const FLOOR_SIGMA_PX: f64 = 0.005;
 
@@ -195,7 +209,21 @@ impl Refiner {
     /// # Errors
     /// Why the match is not to be believed.
     pub fn refine(&mut self, a: &Pyramid, b: &Pyramid, seed: &Seed) -> Result<Refined, Rejection> {
-        refine_one(&mut self.template, a, b, seed, &self.options)
+        self.refine_bent(a, b, seed, &|_, _| None)
+    }
+
+    /// The same where the part of second order is predicted once the linear part is known roughly.
+    ///
+    /// # Errors
+    /// Why the match is not to be believed.
+    pub fn refine_bent(
+        &mut self,
+        a: &Pyramid,
+        b: &Pyramid,
+        seed: &Seed,
+        bend: BendPrediction<'_>,
+    ) -> Result<Refined, Rejection> {
+        refine_one(&mut self.template, a, b, seed, bend, &self.options)
     }
 }
 
@@ -205,6 +233,7 @@ fn refine_one(
     a: &Pyramid,
     b: &Pyramid,
     seed: &Seed,
+    bend: BendPrediction<'_>,
     options: &RefineOptions,
 ) -> Result<Refined, Rejection> {
     let finite = seed.in_a.iter().chain(seed.in_b.iter()).chain(seed.b_from_a.iter()).all(|value| value.is_finite());
@@ -218,7 +247,7 @@ fn refine_one(
     for level in (0..=coarsest).rev() {
         // Later levels only correct what the coarser one left.
         let reach = if best.is_none() { options.max_shift } else { options.max_shift.min(1.5) };
-        match refine_at(template, a, b, &from, level, reach, options) {
+        match refine_at(template, [a, b], &from, bend, level, reach, options) {
             Ok(refined) => {
                 let finer = best.is_none_or(|best| refined.covariance.trace() < best.covariance.trace());
                 if !finer {
@@ -238,9 +267,9 @@ fn refine_one(
 /// Aligns at one level of image A, and at that of image B where a sample is about one pixel.
 fn refine_at(
     template: &mut Template,
-    a: &Pyramid,
-    b: &Pyramid,
+    [a, b]: [&Pyramid; 2],
     seed: &Seed,
+    bend: BendPrediction<'_>,
     level_a: usize,
     reach: f64,
     options: &RefineOptions,
@@ -260,13 +289,43 @@ fn refine_at(
     if template.contrast() < LEAST_CONTRAST {
         return Err(Rejection::NoTexture);
     }
-    let start =
-        Warp { centre: seed.in_b.coords / scale_b, linear: seed.b_from_a * (scale_a / scale_b), cubic: cubic_b };
+    let start = Warp {
+        centre: seed.in_b.coords / scale_b,
+        linear: seed.b_from_a * (scale_a / scale_b),
+        bend: Default::default(),
+        cubic: cubic_b,
+    };
+    let bent = |warp: &Warp| {
+        let Bend(factors) = bend(&(warp.linear * (scale_b / scale_a)), &Point2::from(warp.centre * scale_b))?;
+        Some(factors.map(|axis| axis.map(|factor| (factor * scale_a * scale_a / scale_b) as f32)))
+    };
+    let (warp, freedom) = come_to_rest(template, level, start, &bent, reach, options)?;
+    let Fit { correlation, covariance, scattered } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
+    if correlation < options.min_correlation {
+        return Err(Rejection::PoorCorrelation);
+    }
+    let floor = Matrix2::identity() * (FLOOR_SIGMA_PX * FLOOR_SIGMA_PX);
+    let [covariance, scattered] = [covariance, scattered].map(|covariance| (covariance + floor) * (scale_b * scale_b));
+    if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
+        return Err(Rejection::Uncertain);
+    }
+    let in_b: Vector2<f64> = warp.centre * scale_b;
+    Ok(Refined { in_b: in_b.into(), covariance, scattered, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+}
+
+/// Steps until nothing moves any more; the second-order part is asked for as soon as the linear part is about right.
+fn come_to_rest(
+    template: &mut Template,
+    level: &Level,
+    start: Warp,
+    bent: &dyn Fn(&Warp) -> Option<[[f32; 3]; 2]>,
+    reach: f64,
+    options: &RefineOptions,
+) -> Result<(Warp, Freedom), Rejection> {
     let mut warp = start;
     let reach = reach * start.linear.determinant().sqrt();
-
     let mut freedom = Freedom::Shift;
-    let mut at_rest = false;
+    let mut is_bent = false;
     for iteration in 0..options.max_iterations {
         let moved = template.step(level, &mut warp, freedom).ok_or(Rejection::OutsideImage)?;
         let change = warp.linear.determinant() / start.linear.determinant();
@@ -277,27 +336,19 @@ fn refine_at(
             // First the shift alone: the linear part of a displaced patch is noise.
             (WarpModel::Affine, Freedom::Shift) if moved < 0.3 || iteration >= 3 => freedom = Freedom::Affine,
             (WarpModel::Affine, Freedom::Shift) => {}
-            _ if moved < AT_REST => {
-                at_rest = true;
-                break;
+            _ if moved < NEARLY_AT_REST && !is_bent => {
+                is_bent = true;
+                match bent(&warp) {
+                    Some(bend) => warp.bend = bend,
+                    None if moved < AT_REST => return Ok((warp, freedom)),
+                    None => {}
+                }
             }
+            _ if moved < AT_REST => return Ok((warp, freedom)),
             _ => {}
         }
     }
-    if !at_rest {
-        return Err(Rejection::NotConverged);
-    }
-    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
-    if correlation < options.min_correlation {
-        return Err(Rejection::PoorCorrelation);
-    }
-    let covariance = covariance * (SAMPLES_IN_ONE * scale_b * scale_b)
-        + Matrix2::identity() * (FLOOR_SIGMA_PX * scale_b * FLOOR_SIGMA_PX * scale_b);
-    if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
-        return Err(Rejection::Uncertain);
-    }
-    let in_b: Vector2<f64> = warp.centre * scale_b;
-    Ok(Refined { in_b: in_b.into(), covariance, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+    Err(Rejection::NotConverged)
 }
 
 #[cfg(test)]

@@ -5,8 +5,11 @@
 //! `T(x + d + D x) ~ gain B(W(x)) + bias` is solved for `d` and `D`, and the inverse of that change is put in front of
 //! `W` (Baker and Matthews 2004). The derivatives of `T` are made orthogonal to a constant and to `T` itself, once:
 //! then neither gain nor bias can enter the solution, and the normal matrix never changes.
+//!
+//! `W` may have a part of second order, `W(x) = p + M x + q(x)`, which is given and stays as it is: at rest `d` and `D` vanish, and what
+//! `q` is then decides where that is.
 
-use super::pyramid::{Cubic, Level};
+use super::pyramid::{Cubic, Level, SMOOTHING_PX2};
 use multiversion::multiversion;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -16,6 +19,15 @@ const PARAMETERS: usize = 6;
 const WIDTH: usize = 8;
 /// Damping of the linear part against the shift, as a share of its own curvature.
 const LINEAR_DAMPING: f64 = 0.02;
+
+/// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
+/// `(sum of r(k))^2` with the correlation `r(k) = exp(-k^2 / (4 v))` of white noise smoothed by the variance `v`.
+const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * SMOOTHING_PX2;
+/// Samples along a side of a block: beyond it the noise of samples is nearly independent.
+const BLOCK: usize = 3;
+/// What the noise's correlation across the borders of blocks adds to the variance: [`SAMPLES_IN_ONE`] over the same sum within a block,
+/// `(1 + 4/3 r(1) + 2/3 r(2))^2`.
+const BLOCK_CORRELATION: f64 = 1.742;
 
 /// A patch of image A and all that is computed of it once.
 #[derive(Debug, Clone)]
@@ -35,8 +47,8 @@ pub(super) struct Template {
     derivatives: [Vec<f32>; PARAMETERS],
     /// Sums of products of the derivatives.
     normal: SMatrix<f64, PARAMETERS, PARAMETERS>,
-    /// Zero-mean normalised correlation at the last step.
-    correlation: f64,
+    /// The other patch at the last step.
+    look: Look,
     /// Patches being compared, and one with a margin for differences.
     other: Vec<f32>,
     margin: Vec<f32>,
@@ -48,6 +60,8 @@ pub(super) struct Warp {
     pub(super) centre: Vector2<f64>,
     /// Pixels of the level in B for one sample of the template.
     pub(super) linear: Matrix2<f64>,
+    /// The part of second order: for each axis the factors of uu, uv and vv, pixels of the level for squared samples.
+    pub(super) bend: [[f32; 3]; 2],
     /// How image B is interpolated.
     pub(super) cubic: Cubic,
 }
@@ -57,8 +71,10 @@ pub(super) struct Warp {
 pub(super) struct Fit {
     /// Zero-mean normalised correlation.
     pub(super) correlation: f64,
-    /// Covariance of the centre, in squared pixels of the level, if the noise of the samples were white.
+    /// Covariance of the centre, in squared pixels of the level, if what remains between the patches is noise of one size.
     pub(super) covariance: Matrix2<f64>,
+    /// The same as the blocks of the patch contradict each other, whatever remains.
+    pub(super) scattered: Matrix2<f64>,
 }
 
 /// Which parameters a step may change.
@@ -98,7 +114,7 @@ impl Template {
             weights,
             derivatives: std::array::from_fn(|_| vec![0.0; length]),
             normal: SMatrix::zeros(),
-            correlation: 0.0,
+            look: Look::default(),
             other: vec![0.0; length],
             margin: vec![0.0; (count + 2) * (count + 2)],
         }
@@ -112,10 +128,11 @@ impl Template {
     /// Cuts the template; false if it does not lie in the image.
     pub(super) fn cut(&mut self, level: &Level, centre: [f64; 2], cubic: &Cubic) -> bool {
         let step = [[1.0, 0.0], [0.0, 1.0]];
-        if !level.holds(centre, step, self.count + 2) {
+        let straight = [[0.0; 3]; 2];
+        if !level.holds(centre, step, straight, self.count + 2) {
             return false;
         }
-        level.sample(centre, step, cubic, self.count + 2, &mut self.margin);
+        level.sample(centre, step, straight, cubic, self.count + 2, &mut self.margin);
         differentiate(self);
         true
     }
@@ -124,8 +141,8 @@ impl Template {
     ///
     /// Returns by how much the centre moved, px of the level.
     pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, freedom: Freedom) -> Option<f64> {
-        let Look { gain, correlation } = self.look(level, warp)?;
-        self.correlation = correlation;
+        self.look = self.look(level, warp)?;
+        let gain = self.look.gain;
         let right = right_side(&self.derivatives, &self.other, self.mean);
         let right = SVector::<f64, PARAMETERS>::from(right.map(|sum| gain * f64::from(sum)));
         let (shift, linear) = match freedom {
@@ -155,38 +172,80 @@ impl Template {
     /// How well the warp fits, by the patch that the last step saw: where that moved little, it is as good as the one
     /// where it went to.
     pub(super) fn fit(&self, warp: &Warp, freedom: Freedom) -> Option<Fit> {
-        let correlation = self.correlation;
+        let correlation = self.look.correlation;
         // What gain and bias leave: both patches have noise, hence the factor two of a small disagreement.
         let noise = 2.0 * (1.0 - correlation).max(1e-6) * self.energy / self.weights_sum * self.weights_mean;
-        let shift = match freedom {
-            Freedom::Shift => self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?,
-            Freedom::Affine => self.normal.cholesky()?.inverse().fixed_view::<2, 2>(0, 0).into_owned(),
+        let (shift, scattered) = match freedom {
+            Freedom::Shift => {
+                let inverse = self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?;
+                (inverse, inverse * self.score_scatter().fixed_view::<2, 2>(0, 0) * inverse)
+            }
+            Freedom::Affine => {
+                let inverse = self.normal.cholesky()?.inverse();
+                let scattered = inverse * self.score_scatter() * inverse;
+                (inverse.fixed_view::<2, 2>(0, 0).into_owned(), scattered.fixed_view::<2, 2>(0, 0).into_owned())
+            }
         };
-        let covariance = warp.linear * (shift * noise) * warp.linear.transpose();
-        covariance.iter().all(|value| value.is_finite()).then_some(Fit { correlation, covariance })
+        let [covariance, scattered] = [shift * noise * SAMPLES_IN_ONE, scattered * BLOCK_CORRELATION]
+            .map(|shift| warp.linear * shift * warp.linear.transpose());
+        let finite = covariance.iter().chain(scattered.iter()).all(|value| value.is_finite());
+        finite.then_some(Fit { correlation, covariance, scattered })
+    }
+
+    /// Sum over blocks of the outer product of what each block of samples contributes to the gradient.
+    ///
+    /// The total gradient is zero at rest; how much the blocks contradict each other tells the variance of the estimate without a model of
+    /// what remains between the patches: where the surface is no plane, it remains at strong edges and over whole blocks.
+    fn score_scatter(&self) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
+        let gain = self.look.gain as f32;
+        let blocks = self.count.div_ceil(BLOCK);
+        let mut scatter = SMatrix::zeros();
+        for block in 0..blocks * blocks {
+            let (across, down) = (BLOCK * (block % blocks), BLOCK * (block / blocks));
+            let mut score = SVector::<f64, PARAMETERS>::zeros();
+            for v in down..(down + BLOCK).min(self.count) {
+                for at in v * self.count + across..v * self.count + (across + BLOCK).min(self.count) {
+                    let remains = f64::from(gain * (self.other[at] - self.mean - self.look.mean) - self.centred[at]);
+                    for (sum, derivative) in score.iter_mut().zip(&self.derivatives) {
+                        *sum += remains * f64::from(derivative[at]);
+                    }
+                }
+            }
+            scatter += score * score.transpose();
+        }
+        scatter
     }
 
     /// Samples image B at the warp.
     fn look(&mut self, level: &Level, warp: &Warp) -> Option<Look> {
         let step = [[warp.linear.m11 as f32, warp.linear.m12 as f32], [warp.linear.m21 as f32, warp.linear.m22 as f32]];
         let centre = [warp.centre.x, warp.centre.y];
-        if !level.holds(centre, step, self.count) {
+        if !level.holds(centre, step, warp.bend, self.count) {
             return None;
         }
-        level.sample(centre, step, &warp.cubic, self.count, &mut self.other);
+        level.sample(centre, step, warp.bend, &warp.cubic, self.count, &mut self.other);
         let [sum, squares, products] = moments(&self.other, &self.centred, &self.weights, self.mean);
         let energy = squares - sum * sum / self.weights_sum;
         if !(energy > 0.0 && self.energy > 0.0) {
             return None;
         }
         // The centred template has no part in a constant, so the other's mean does not enter the products.
-        Some(Look { gain: (self.energy / energy).sqrt(), correlation: products / (self.energy * energy).sqrt() })
+        Some(Look {
+            gain: (self.energy / energy).sqrt(),
+            mean: (sum / self.weights_sum) as f32,
+            correlation: products / (self.energy * energy).sqrt(),
+        })
     }
 }
 
 /// The other patch beside the template.
+#[derive(Debug, Clone, Copy, Default)]
 struct Look {
+    /// What the other patch is to be multiplied with.
     gain: f64,
+    /// Its weighted mean less the template's.
+    mean: f32,
+    /// Zero-mean normalised correlation.
     correlation: f64,
 }
 
