@@ -112,8 +112,6 @@ pub struct Refined {
     pub in_b: Point2<f64>,
     /// Its covariance, px².
     pub covariance: Matrix2<f64>,
-    /// EXPERIMENT
-    pub scattered: Matrix2<f64>,
     /// Zero-mean normalised correlation of the patches.
     pub correlation: f64,
     /// The change of the patch as it was found.
@@ -304,13 +302,14 @@ fn refine_at(
     if correlation < options.min_correlation {
         return Err(Rejection::PoorCorrelation);
     }
+    // The one is sure and true where noise alone remains; the other holds whatever remains, but rests on few blocks.
     let floor = Matrix2::identity() * (FLOOR_SIGMA_PX * FLOOR_SIGMA_PX);
-    let [covariance, scattered] = [covariance, scattered].map(|covariance| (covariance + floor) * (scale_b * scale_b));
+    let covariance = ((covariance + scattered) * 0.5 + floor) * (scale_b * scale_b);
     if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
         return Err(Rejection::Uncertain);
     }
     let in_b: Vector2<f64> = warp.centre * scale_b;
-    Ok(Refined { in_b: in_b.into(), covariance, scattered, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+    Ok(Refined { in_b: in_b.into(), covariance, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
 }
 
 /// Steps until nothing moves any more; the second-order part is asked for as soon as the linear part is about right.

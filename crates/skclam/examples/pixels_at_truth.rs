@@ -24,8 +24,6 @@ const OUTLIER_SIGMAS: f64 = 7.0;
 struct Residual {
     error: Vector2<f64>,
     covariance: Matrix2<f64>,
-    scattered: Matrix2<f64>,
-    correlation: f64,
     /// What the warp has beyond its linear part, averaged over the window, px.
     bend: Vector2<f64>,
     /// Distance in the reference to what is not on the plane, px.
@@ -33,6 +31,10 @@ struct Residual {
 }
 
 impl Residual {
+    fn sigma_px(&self) -> f64 {
+        (0.5 * self.covariance.trace()).sqrt()
+    }
+
     fn nees(&self) -> f64 {
         let inverse = self.covariance.try_inverse().unwrap_or_default();
         0.5 * self.error.dot(&(inverse * self.error))
@@ -99,8 +101,6 @@ fn residuals(truth: &Truth, images: &[ImageFeatures], tracks: &Tracks, points: &
             residuals.push(Residual {
                 error: refined.in_b - expected,
                 covariance: refined.covariance,
-                scattered: refined.scattered,
-                correlation: refined.correlation,
                 bend: bend(&warp).unwrap_or_default(),
                 planar_px: around.radius_px,
             });
@@ -154,15 +154,8 @@ fn report(all: &[Residual]) {
         );
     };
     line("all", &mut all.iter());
-    let ratio = |r: &Residual| (r.scattered.determinant() / r.covariance.determinant()).sqrt();
-    for (low, high) in [(0.0, 0.15), (0.15, 0.25), (0.25, 0.4), (0.4, 0.6), (0.6, 1.0), (1.0, 1.5), (1.5, 9.0)] {
-        line(&format!("scattered {low} - {high}"), &mut all.iter().filter(|r| (low..high).contains(&ratio(r))));
-    }
-    for (low, high) in [(0.8, 0.9), (0.9, 0.95), (0.95, 0.98), (0.98, 0.99), (0.99, 0.995), (0.995, 0.998), (0.998, 1.0)] {
-        line(&format!("correlation {low} - {high}"), &mut all.iter().filter(|r| (low..high).contains(&r.correlation)));
-    }
     for (low, high) in [(0.0, 0.01), (0.01, 0.02), (0.02, 0.04), (0.04, 0.08), (0.08, 0.16), (0.16, 0.3), (0.3, 9.0)] {
-        line(&format!("sigma {low} - {high}"), &mut all.iter().filter(|r| (low..high).contains(&(0.5 * r.covariance.trace()).sqrt())));
+        line(&format!("sigma {low} - {high}"), &mut all.iter().filter(|r| (low..high).contains(&r.sigma_px())));
     }
     for px in [1.0, 2.0, 4.0, 8.0, 16.0, f64::INFINITY] {
         line(&format!("not a plane from {px} px"), &mut all.iter().filter(|r| r.planar_px == px));

@@ -11,7 +11,7 @@
 
 use super::pyramid::{Cubic, Level, SMOOTHING_PX2};
 use multiversion::multiversion;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Parameters: a shift and four of the linear part.
 const PARAMETERS: usize = 6;
@@ -42,6 +42,8 @@ pub(super) struct Template {
     /// The mean of the weights with themselves as weights. Weights that are not inverse variances make the inverse of
     /// the normal matrix too large a covariance, by this factor where derivatives are spread evenly.
     weights_mean: f64,
+    /// By how much the blocks of a patch contradict each other less than their noise, since the fit follows it.
+    scatter_loss: f64,
     weights: Vec<f32>,
     /// Weighted derivatives, orthogonal to a constant and to the patch.
     derivatives: [Vec<f32>; PARAMETERS],
@@ -111,6 +113,7 @@ impl Template {
             energy: 0.0,
             weights_sum,
             weights_mean: weights.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>() / weights_sum,
+            scatter_loss: scatter_loss(&weights, count),
             weights,
             derivatives: std::array::from_fn(|_| vec![0.0; length]),
             normal: SMatrix::zeros(),
@@ -186,7 +189,7 @@ impl Template {
                 (inverse.fixed_view::<2, 2>(0, 0).into_owned(), scattered.fixed_view::<2, 2>(0, 0).into_owned())
             }
         };
-        let [covariance, scattered] = [shift * noise * SAMPLES_IN_ONE, scattered * BLOCK_CORRELATION]
+        let [covariance, scattered] = [shift * noise * SAMPLES_IN_ONE, scattered * (BLOCK_CORRELATION / self.scatter_loss)]
             .map(|shift| warp.linear * shift * warp.linear.transpose());
         let finite = covariance.iter().chain(scattered.iter()).all(|value| value.is_finite());
         finite.then_some(Fit { correlation, covariance, scattered })
@@ -236,6 +239,35 @@ impl Template {
             correlation: products / (self.energy * energy).sqrt(),
         })
     }
+}
+
+/// Expected share of the noise's variance that [`Template::score_scatter`] finds again in the position, for derivatives that are spread evenly
+/// and white noise: the fit of shift and linear part takes the rest out of the residuals.
+///
+/// With the moments `M` of the basis (1, x, y) under the weights `w`, `A` under `w^2`, and `M_b`, `A_b` those of a block, the scores' scatter is
+/// expected to be the sum of `A_b - M_b N A_b - A_b N M_b + M_b N A N M_b` with `N = M^-1`, instead of `A`.
+fn scatter_loss(weights: &[f32], count: usize) -> f64 {
+    let half = (count / 2) as f64;
+    let blocks = count.div_ceil(BLOCK);
+    let mut of_blocks = vec![[Matrix3::<f64>::zeros(); 2]; blocks * blocks];
+    for (at, &weight) in weights[..count * count].iter().enumerate() {
+        let (u, v, weight) = (at % count, at / count, f64::from(weight));
+        let basis = Vector3::new(1.0, u as f64 - half, v as f64 - half);
+        let outer = basis * basis.transpose();
+        let [m, a] = &mut of_blocks[(v / BLOCK) * blocks + u / BLOCK];
+        *m += outer * weight;
+        *a += outer * (weight * weight);
+    }
+    let [m, a] = [0, 1].map(|which| of_blocks.iter().map(|block| block[which]).sum::<Matrix3<f64>>());
+    let Some(inverse) = m.try_inverse() else { return 1.0 };
+    let expected: Matrix3<f64> = of_blocks
+        .iter()
+        .map(|[m_b, a_b]| {
+            let follows = m_b * inverse;
+            a_b - follows * a_b - (follows * a_b).transpose() + follows * a * follows.transpose()
+        })
+        .sum();
+    (inverse * expected * inverse)[(0, 0)] / (inverse * a * inverse)[(0, 0)]
 }
 
 /// The other patch beside the template.

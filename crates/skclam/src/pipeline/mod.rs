@@ -44,7 +44,7 @@ pub use pairing::{ImagePair, Pairing, PairingOptions, PredictedView, choose_pair
 pub(crate) use pairing::{assumed_points, measured_points, shown_to};
 pub use plane_warp::PlaneWarp;
 pub use pose_sigmas::{PoseSigma, PoseSigmaSummary, PostureSource, pose_sigmas};
-pub use registered_depth::RegisteredDepth;
+pub use registered_depth::{DepthSample, RegisteredDepth};
 pub use run::{Maps, Outcome, run, run_without_map, write_cloud};
 pub use scale::{Scale, ScaleSource};
 pub use sightings::{TrackSummary, correspondences};
