@@ -138,6 +138,8 @@ pub enum Rejection {
     Uncertain,
 }
 
+/// Samples along a side of the smallest patch that still tells six parameters.
+const SMALLEST_PATCH: usize = 7;
 /// Keypoint diameter for which one sample is one pixel of the full image (AKAZE's finest level has 4.8).
 const FINEST_SIZE_PX: f64 = 5.0;
 /// At rest, px of the level: the step after one of this length is a fraction of it.
@@ -146,13 +148,15 @@ const AT_REST: f64 = 0.008;
 const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
 const LEAST_CONTRAST: f64 = 1.0;
+/// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
+const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * pyramid::SMOOTHING_PX2;
 /// What interpolation and sensor leave whatever the noise says, px.
 const FLOOR_SIGMA_PX: f64 = 0.005;
 
 impl RefineOptions {
     fn check(&self) -> Result<(), FeaturesError> {
         let bad = |option, got: String, need| Err(FeaturesError::BadOption { option, got, need });
-        if !(7..=31).contains(&self.patch) || self.patch.is_multiple_of(2) {
+        if !(SMALLEST_PATCH..=31).contains(&self.patch) || self.patch.is_multiple_of(2) {
             return bad("patch", self.patch.to_string(), "an odd number from 7 to 31");
         }
         if !(self.max_shift > 0.0 && self.max_shift.is_finite()) {
@@ -189,6 +193,8 @@ pub fn refine_matches(
 #[derive(Debug, Clone)]
 pub struct Refiner {
     template: Template,
+    /// A smaller window, to compare with; `None` where the window is as small as can be.
+    narrow: Option<Template>,
     options: RefineOptions,
 }
 
@@ -199,7 +205,12 @@ impl Refiner {
     /// [`FeaturesError::BadOption`].
     pub fn new(options: &RefineOptions) -> Result<Self, FeaturesError> {
         options.check()?;
-        Ok(Refiner { template: Template::new(options.patch), options: options.clone() })
+        let narrow = ((3 * options.patch / 5) | 1).max(SMALLEST_PATCH);
+        Ok(Refiner {
+            template: Template::new(options.patch),
+            narrow: (narrow < options.patch).then(|| Template::new(narrow)),
+            options: options.clone(),
+        })
     }
 
     /// Refines a match between image A and image B.
@@ -221,11 +232,48 @@ impl Refiner {
         seed: &Seed,
         bend: BendPrediction<'_>,
     ) -> Result<Refined, Rejection> {
-        refine_one(&mut self.template, a, b, seed, bend, &self.options)
+        let (refined, level) = refine_one(&mut self.template, a, b, seed, bend, &self.options)?;
+        let Some(narrow) = &mut self.narrow else { return Ok(refined) };
+        let doubt = disagreement(narrow, [a, b], seed, bend, level, &refined, &self.options);
+        let covariance = refined.covariance + doubt;
+        let largest = self.options.max_sigma_px * self.options.max_sigma_px;
+        if covariance.symmetric_eigenvalues().max() > largest {
+            return Err(Rejection::Uncertain);
+        }
+        Ok(Refined { covariance, ..refined })
     }
 }
 
-/// Coarse to fine for one match.
+/// What a smaller window makes of the match beside the larger one, as a covariance of the error that is none of noise.
+///
+/// Where the surface is a plane both windows see the same point, and they differ by noise with the difference of their covariances: the
+/// smaller one uses a part of the larger one's samples (Hausman, "Specification tests in econometrics", 1978). What they differ more is an error of
+/// the kind that grows with the window, and the larger one has it at least once.
+fn disagreement(
+    narrow: &mut Template,
+    images: [&Pyramid; 2],
+    seed: &Seed,
+    bend: BendPrediction<'_>,
+    level: usize,
+    refined: &Refined,
+    options: &RefineOptions,
+) -> Matrix2<f64> {
+    let from = Seed { in_b: refined.in_b, b_from_a: refined.b_from_a, ..*seed };
+    // However unsure the smaller window is alone, it may contradict.
+    let lax = RefineOptions { min_correlation: -1.0, max_sigma_px: f64::INFINITY, ..options.clone() };
+    let Ok(other) = refine_at(narrow, images, &from, bend, level, options.max_shift, &lax) else {
+        return Matrix2::zeros();
+    };
+    let apart = other.in_b - refined.in_b;
+    let more = other.covariance - refined.covariance;
+    let by_noise = if more.determinant() > 0.0 && more.trace() > 0.0 { more } else { other.covariance };
+    let Some(inverse) = by_noise.try_inverse() else { return Matrix2::zeros() };
+    // Two is what noise alone makes of it in the mean.
+    let squared = apart.dot(&(inverse * apart));
+    if squared > 2.0 { apart * apart.transpose() * (1.0 - 2.0 / squared) } else { Matrix2::zeros() }
+}
+
+/// Coarse to fine for one match; the answer and the level that gave it.
 fn refine_one(
     template: &mut Template,
     a: &Pyramid,
@@ -233,25 +281,25 @@ fn refine_one(
     seed: &Seed,
     bend: BendPrediction<'_>,
     options: &RefineOptions,
-) -> Result<Refined, Rejection> {
+) -> Result<(Refined, usize), Rejection> {
     let finite = seed.in_a.iter().chain(seed.in_b.iter()).chain(seed.b_from_a.iter()).all(|value| value.is_finite());
     let determinant = seed.b_from_a.determinant();
     if !finite || !(1.0 / 64.0..=64.0).contains(&determinant) || seed.size_px.is_nan() || seed.size_px <= 0.0 {
         return Err(Rejection::BadPrediction);
     }
     let coarsest = (seed.size_px / FINEST_SIZE_PX).log2().round().clamp(0.0, (a.levels.len() - 1) as f64) as usize;
-    let mut best: Option<Refined> = None;
+    let mut best: Option<(Refined, usize)> = None;
     let mut from = *seed;
     for level in (0..=coarsest).rev() {
         // Later levels only correct what the coarser one left.
         let reach = if best.is_none() { options.max_shift } else { options.max_shift.min(1.5) };
         match refine_at(template, [a, b], &from, bend, level, reach, options) {
             Ok(refined) => {
-                let finer = best.is_none_or(|best| refined.covariance.trace() < best.covariance.trace());
+                let finer = best.is_none_or(|(best, _)| refined.covariance.trace() < best.covariance.trace());
                 if !finer {
                     break;
                 }
-                best = Some(refined);
+                best = Some((refined, level));
                 (from.in_b, from.b_from_a) = (refined.in_b, refined.b_from_a);
             }
             // The finer level adds nothing, or the coarse one did not fit and the finer might.
@@ -298,13 +346,12 @@ fn refine_at(
         Some(factors.map(|axis| axis.map(|factor| (factor * scale_a * scale_a / scale_b) as f32)))
     };
     let (warp, freedom) = come_to_rest(template, level, start, &bent, reach, options)?;
-    let Fit { correlation, covariance, scattered } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
+    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
     if correlation < options.min_correlation {
         return Err(Rejection::PoorCorrelation);
     }
-    // The one is sure and true where noise alone remains; the other holds whatever remains, but rests on few blocks.
     let floor = Matrix2::identity() * (FLOOR_SIGMA_PX * FLOOR_SIGMA_PX);
-    let covariance = ((covariance + scattered) * 0.5 + floor) * (scale_b * scale_b);
+    let covariance = (covariance * SAMPLES_IN_ONE + floor) * (scale_b * scale_b);
     if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
         return Err(Rejection::Uncertain);
     }

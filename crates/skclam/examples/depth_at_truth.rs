@@ -9,9 +9,11 @@
 mod truth;
 
 use skclam::calibration::Loss;
-use skclam::geometry::{Pixel, Point3};
-use skclam::pipeline::{Config, correspondences, extract_features, match_pairs, pairs_to_match};
+use skclam::dataset::Dataset;
+use skclam::geometry::{DepthCamera, DepthImage, PinholeCamera, Pixel, Point3};
+use skclam::pipeline::{Config, RegisteredDepth, correspondences, extract_features, match_pairs, pairs_to_match};
 use skclam::progress::Silent;
+use skclam::simulation::DepthNoiseOptions;
 use truth::{Surroundings, Truth, summary};
 
 /// Beyond this an error is no noise.
@@ -74,11 +76,65 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{} observations with depth, {without} without", readings.len());
     tables(&readings);
     offset_and_scale(&readings);
+    let seen: Vec<(usize, Pixel)> =
+        data.tracks.iter().flat_map(|track| track.observations.iter().map(|o| (o.posture, o.pixel))).collect();
+    rendered(&dataset, &truth, &seen)
+}
+
+/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which tells a bias of the reading from the
+/// luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4 %) stands beside it.
+fn rendered(dataset: &Dataset, truth: &Truth, seen: &[(usize, Pixel)]) -> Result<(), Box<dyn std::error::Error>> {
+    const SEEDS: u64 = 6;
+    let Some(camera) = truth.rig.depth else { return Err("no depth camera".into()) };
+    let (width, height) = (camera.camera.width, camera.camera.height);
+    let noises = std::iter::once(DepthNoiseOptions::none())
+        .chain((0..SEEDS).map(|seed| DepthNoiseOptions { seed: 77 + seed, ..DepthNoiseOptions::default() }));
+    let noises: Vec<DepthNoiseOptions> = noises.collect();
+    let mut errors = vec![[Vec::new(), Vec::new()]; noises.len()];
+    for posture in 0..dataset.len() {
+        let base_from_depth = truth.base_from_color[posture] * camera.color_from_depth;
+        let exact = (0..height).flat_map(|y| (0..width).map(move |x| Pixel::new(f64::from(x), f64::from(y))));
+        let exact = exact.map(|pixel| truth.along(&base_from_depth, &camera.camera.unproject(&pixel)));
+        let exact = DepthImage::new(width, height, exact.map(|s| s.map_or(0.0, |s| s.z_m as f32)).collect())?;
+        for (noise, errors) in noises.iter().zip(&mut errors) {
+            let image = noise.apply(&exact, camera.unit_m, posture as u64)?;
+            let Some(registered) = RegisteredDepth::new(&image, &camera, &truth.rig.color) else { continue };
+            for (_, pixel) in seen.iter().filter(|(of, _)| *of == posture) {
+                let Some(surface) = truth.at(posture, pixel) else { continue };
+                let read = [registered.at(pixel), bilinear(&image, &camera, &truth.rig.color, pixel, surface.z_m)];
+                for (errors, read_m) in errors.iter_mut().zip(read) {
+                    errors.extend(read_m.map(|read_m| inverse_error(read_m, surface.z_m)));
+                }
+            }
+        }
+    }
+    println!("read at the same places from images of the true surface");
+    for (which, name) in [(0, "fitted plane"), (1, "bilinear")] {
+        println!("  exact, {name:<13}{}", summary(&errors[0][which], GATE));
+        for of_seed in &errors[1..] {
+            println!("  noise, {name:<13}{}", summary(&of_seed[which], GATE));
+        }
+        let all: Vec<f64> = errors[1..].iter().flat_map(|of_seed| of_seed[which].iter().copied()).collect();
+        println!("  all,   {name:<13}{}", summary(&all, GATE));
+    }
     Ok(())
 }
 
+/// The former reading, from the true place.
+fn bilinear(
+    image: &DepthImage,
+    camera: &DepthCamera,
+    color: &PinholeCamera,
+    pixel: &Pixel,
+    true_m: f64,
+) -> Option<f64> {
+    let in_color = Point3::from(color.unproject(pixel) * true_m);
+    let at = camera.camera.project(&(camera.color_from_depth.inverse() * in_color))?;
+    Some(camera.point_in_color(&at, image.interpolate(&at, 0.04)?).z)
+}
+
 /// The depth images themselves.
-fn sensor(dataset: &skclam::dataset::Dataset, truth: &Truth) -> Result<(), Box<dyn std::error::Error>> {
+fn sensor(dataset: &Dataset, truth: &Truth) -> Result<(), Box<dyn std::error::Error>> {
     println!("the depth image's own pixels, by range: count, mean +- its error, median, sigma, beyond the gate");
     let Some(camera) = truth.rig.depth else { return Err("no depth camera".into()) };
     let mut errors: Vec<(f64, f64)> = Vec::new();

@@ -9,9 +9,9 @@
 //! `W` may have a part of second order, `W(x) = p + M x + q(x)`, which is given and stays as it is: at rest `d` and `D` vanish, and what
 //! `q` is then decides where that is.
 
-use super::pyramid::{Cubic, Level, SMOOTHING_PX2};
+use super::pyramid::{Cubic, Level};
 use multiversion::multiversion;
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Parameters: a shift and four of the linear part.
 const PARAMETERS: usize = 6;
@@ -19,15 +19,6 @@ const PARAMETERS: usize = 6;
 const WIDTH: usize = 8;
 /// Damping of the linear part against the shift, as a share of its own curvature.
 const LINEAR_DAMPING: f64 = 0.02;
-
-/// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
-/// `(sum of r(k))^2` with the correlation `r(k) = exp(-k^2 / (4 v))` of white noise smoothed by the variance `v`.
-const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * SMOOTHING_PX2;
-/// Samples along a side of a block: beyond it the noise of samples is nearly independent.
-const BLOCK: usize = 3;
-/// What the noise's correlation across the borders of blocks adds to the variance: [`SAMPLES_IN_ONE`] over the same sum within a block,
-/// `(1 + 4/3 r(1) + 2/3 r(2))^2`.
-const BLOCK_CORRELATION: f64 = 1.742;
 
 /// A patch of image A and all that is computed of it once.
 #[derive(Debug, Clone)]
@@ -42,15 +33,13 @@ pub(super) struct Template {
     /// The mean of the weights with themselves as weights. Weights that are not inverse variances make the inverse of
     /// the normal matrix too large a covariance, by this factor where derivatives are spread evenly.
     weights_mean: f64,
-    /// By how much the blocks of a patch contradict each other less than their noise, since the fit follows it.
-    scatter_loss: f64,
     weights: Vec<f32>,
     /// Weighted derivatives, orthogonal to a constant and to the patch.
     derivatives: [Vec<f32>; PARAMETERS],
     /// Sums of products of the derivatives.
     normal: SMatrix<f64, PARAMETERS, PARAMETERS>,
-    /// The other patch at the last step.
-    look: Look,
+    /// Zero-mean normalised correlation at the last step.
+    correlation: f64,
     /// Patches being compared, and one with a margin for differences.
     other: Vec<f32>,
     margin: Vec<f32>,
@@ -73,10 +62,8 @@ pub(super) struct Warp {
 pub(super) struct Fit {
     /// Zero-mean normalised correlation.
     pub(super) correlation: f64,
-    /// Covariance of the centre, in squared pixels of the level, if what remains between the patches is noise of one size.
+    /// Covariance of the centre, in squared pixels of the level, if the noise of the samples were white.
     pub(super) covariance: Matrix2<f64>,
-    /// The same as the blocks of the patch contradict each other, whatever remains.
-    pub(super) scattered: Matrix2<f64>,
 }
 
 /// Which parameters a step may change.
@@ -113,11 +100,10 @@ impl Template {
             energy: 0.0,
             weights_sum,
             weights_mean: weights.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>() / weights_sum,
-            scatter_loss: scatter_loss(&weights, count),
             weights,
             derivatives: std::array::from_fn(|_| vec![0.0; length]),
             normal: SMatrix::zeros(),
-            look: Look::default(),
+            correlation: 0.0,
             other: vec![0.0; length],
             margin: vec![0.0; (count + 2) * (count + 2)],
         }
@@ -144,8 +130,8 @@ impl Template {
     ///
     /// Returns by how much the centre moved, px of the level.
     pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, freedom: Freedom) -> Option<f64> {
-        self.look = self.look(level, warp)?;
-        let gain = self.look.gain;
+        let Look { gain, correlation } = self.look(level, warp)?;
+        self.correlation = correlation;
         let right = right_side(&self.derivatives, &self.other, self.mean);
         let right = SVector::<f64, PARAMETERS>::from(right.map(|sum| gain * f64::from(sum)));
         let (shift, linear) = match freedom {
@@ -175,48 +161,15 @@ impl Template {
     /// How well the warp fits, by the patch that the last step saw: where that moved little, it is as good as the one
     /// where it went to.
     pub(super) fn fit(&self, warp: &Warp, freedom: Freedom) -> Option<Fit> {
-        let correlation = self.look.correlation;
+        let correlation = self.correlation;
         // What gain and bias leave: both patches have noise, hence the factor two of a small disagreement.
         let noise = 2.0 * (1.0 - correlation).max(1e-6) * self.energy / self.weights_sum * self.weights_mean;
-        let (shift, scattered) = match freedom {
-            Freedom::Shift => {
-                let inverse = self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?;
-                (inverse, inverse * self.score_scatter().fixed_view::<2, 2>(0, 0) * inverse)
-            }
-            Freedom::Affine => {
-                let inverse = self.normal.cholesky()?.inverse();
-                let scattered = inverse * self.score_scatter() * inverse;
-                (inverse.fixed_view::<2, 2>(0, 0).into_owned(), scattered.fixed_view::<2, 2>(0, 0).into_owned())
-            }
+        let shift = match freedom {
+            Freedom::Shift => self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?,
+            Freedom::Affine => self.normal.cholesky()?.inverse().fixed_view::<2, 2>(0, 0).into_owned(),
         };
-        let [covariance, scattered] = [shift * noise * SAMPLES_IN_ONE, scattered * (BLOCK_CORRELATION / self.scatter_loss)]
-            .map(|shift| warp.linear * shift * warp.linear.transpose());
-        let finite = covariance.iter().chain(scattered.iter()).all(|value| value.is_finite());
-        finite.then_some(Fit { correlation, covariance, scattered })
-    }
-
-    /// Sum over blocks of the outer product of what each block of samples contributes to the gradient.
-    ///
-    /// The total gradient is zero at rest; how much the blocks contradict each other tells the variance of the estimate without a model of
-    /// what remains between the patches: where the surface is no plane, it remains at strong edges and over whole blocks.
-    fn score_scatter(&self) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
-        let gain = self.look.gain as f32;
-        let blocks = self.count.div_ceil(BLOCK);
-        let mut scatter = SMatrix::zeros();
-        for block in 0..blocks * blocks {
-            let (across, down) = (BLOCK * (block % blocks), BLOCK * (block / blocks));
-            let mut score = SVector::<f64, PARAMETERS>::zeros();
-            for v in down..(down + BLOCK).min(self.count) {
-                for at in v * self.count + across..v * self.count + (across + BLOCK).min(self.count) {
-                    let remains = f64::from(gain * (self.other[at] - self.mean - self.look.mean) - self.centred[at]);
-                    for (sum, derivative) in score.iter_mut().zip(&self.derivatives) {
-                        *sum += remains * f64::from(derivative[at]);
-                    }
-                }
-            }
-            scatter += score * score.transpose();
-        }
-        scatter
+        let covariance = warp.linear * (shift * noise) * warp.linear.transpose();
+        covariance.iter().all(|value| value.is_finite()).then_some(Fit { correlation, covariance })
     }
 
     /// Samples image B at the warp.
@@ -233,51 +186,13 @@ impl Template {
             return None;
         }
         // The centred template has no part in a constant, so the other's mean does not enter the products.
-        Some(Look {
-            gain: (self.energy / energy).sqrt(),
-            mean: (sum / self.weights_sum) as f32,
-            correlation: products / (self.energy * energy).sqrt(),
-        })
+        Some(Look { gain: (self.energy / energy).sqrt(), correlation: products / (self.energy * energy).sqrt() })
     }
-}
-
-/// Expected share of the noise's variance that [`Template::score_scatter`] finds again in the position, for derivatives that are spread evenly
-/// and white noise: the fit of shift and linear part takes the rest out of the residuals.
-///
-/// With the moments `M` of the basis (1, x, y) under the weights `w`, `A` under `w^2`, and `M_b`, `A_b` those of a block, the scores' scatter is
-/// expected to be the sum of `A_b - M_b N A_b - A_b N M_b + M_b N A N M_b` with `N = M^-1`, instead of `A`.
-fn scatter_loss(weights: &[f32], count: usize) -> f64 {
-    let half = (count / 2) as f64;
-    let blocks = count.div_ceil(BLOCK);
-    let mut of_blocks = vec![[Matrix3::<f64>::zeros(); 2]; blocks * blocks];
-    for (at, &weight) in weights[..count * count].iter().enumerate() {
-        let (u, v, weight) = (at % count, at / count, f64::from(weight));
-        let basis = Vector3::new(1.0, u as f64 - half, v as f64 - half);
-        let outer = basis * basis.transpose();
-        let [m, a] = &mut of_blocks[(v / BLOCK) * blocks + u / BLOCK];
-        *m += outer * weight;
-        *a += outer * (weight * weight);
-    }
-    let [m, a] = [0, 1].map(|which| of_blocks.iter().map(|block| block[which]).sum::<Matrix3<f64>>());
-    let Some(inverse) = m.try_inverse() else { return 1.0 };
-    let expected: Matrix3<f64> = of_blocks
-        .iter()
-        .map(|[m_b, a_b]| {
-            let follows = m_b * inverse;
-            a_b - follows * a_b - (follows * a_b).transpose() + follows * a * follows.transpose()
-        })
-        .sum();
-    (inverse * expected * inverse)[(0, 0)] / (inverse * a * inverse)[(0, 0)]
 }
 
 /// The other patch beside the template.
-#[derive(Debug, Clone, Copy, Default)]
 struct Look {
-    /// What the other patch is to be multiplied with.
     gain: f64,
-    /// Its weighted mean less the template's.
-    mean: f32,
-    /// Zero-mean normalised correlation.
     correlation: f64,
 }
 
