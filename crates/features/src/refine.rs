@@ -87,7 +87,7 @@ impl Seed {
     }
 }
 
-/// The change from keypoint A's neighbourhood to keypoint B's that their sizes and orientations tell.
+/// The change from keypoint A's neighbourhood to B's by their sizes and orientations.
 pub fn similarity(a: &KeyPoint, b: &KeyPoint) -> Matrix2<f64> {
     let turn = Rotation2::new(f64::from(b.angle) - f64::from(a.angle));
     turn.matrix() * (f64::from(b.size) / f64::from(a.size))
@@ -221,10 +221,7 @@ impl Refiner {
         self.refine_bent(a, b, seed, &|_, _| None)
     }
 
-    /// The same where the part of second order is predicted once the linear part is known roughly.
-    ///
-    /// # Errors
-    /// Why the match is not to be believed.
+    /// The same where the part of second order is predicted once the linear part is known roughly; the errors are the same.
     pub fn refine_bent(
         &mut self,
         a: &Pyramid,

@@ -73,7 +73,10 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 /// A track with parts replaced; `None` where its point is not on the known surface.
 fn mixed(truth: &Truth, track: &Track, pixels: Part, depths: Part, rng: &mut ChaCha8Rng) -> Option<Track> {
     // The observation that names the point is the one whose coordinates have the same sigma and no correlation.
-    let named = track.observations.iter().find(|o| o.covariance[(0, 1)] == 0.0 && o.covariance[(0, 0)] == o.covariance[(1, 1)])?;
+    let named = track
+        .observations
+        .iter()
+        .find(|o| o.covariance[(0, 1)] == 0.0 && o.covariance[(0, 0)] == o.covariance[(1, 1)])?;
     let surface = truth.at(named.posture, &named.pixel)?;
     let in_camera = Point3::from(truth.rig.color.unproject(&named.pixel) * surface.z_m);
     let point = truth.base_from_color[named.posture] * in_camera;

@@ -50,11 +50,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut readings = Vec::new();
     let mut without = 0;
     for track in &data.tracks {
-        let seen: Vec<_> = track
-            .observations
-            .iter()
-            .map(|o| (truth.base_from_color[o.posture], o.pixel, o.covariance))
-            .collect();
+        let seen: Vec<_> =
+            track.observations.iter().map(|o| (truth.base_from_color[o.posture], o.pixel, o.covariance)).collect();
         let first = &track.observations[0];
         let point = truth.at(first.posture, &first.pixel).and_then(|surface| {
             let start = Point3::from(truth.rig.color.unproject(&first.pixel) * surface.z_m);
@@ -189,9 +186,11 @@ fn tables(readings: &[Reading]) {
 /// What an adjustment with offset and scale free makes of these readings at the true poses.
 fn offset_and_scale(readings: &[Reading]) {
     let loss = Loss::Tukey(7.0);
-    for (name, with_scale, use_point) in
-        [("offset alone", false, false), ("offset and scale", true, false), ("offset and scale, beside the points", true, true)]
-    {
+    for (name, with_scale, use_point) in [
+        ("offset alone", false, false),
+        ("offset and scale", true, false),
+        ("offset and scale, beside the points", true, true),
+    ] {
         let (mut offset, mut scale, mut sigma) = (0.0, 1.0, 3.0);
         let mut deviation = [f64::NAN; 2];
         for _ in 0..30 {

@@ -59,8 +59,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         })
         .collect();
     let tracks = build_tracks(&counts, &links, &config.tracks.unwrap_or_default())?;
-    let pyramids: Vec<Pyramid> =
-        (0..dataset.len()).map(|index| Ok(Pyramid::new(&dataset.gray(index)?))).collect::<Result<_, Box<dyn std::error::Error>>>()?;
+    let pyramids: Vec<Pyramid> = (0..dataset.len())
+        .map(|index| Ok(Pyramid::new(&dataset.gray(index)?)))
+        .collect::<Result<_, Box<dyn std::error::Error>>>()?;
     let plane = PlaneWarp { images: &images, camera: &dataset.rig.color };
     for (name, bent, options) in kinds() {
         let predicted: Option<&dyn WarpPrediction> = if bent { Some(&plane) } else { None };
@@ -75,7 +76,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn kinds() -> Vec<(String, bool, RefineOptions)> {
     let mut kinds = vec![("affine, default window".to_owned(), false, RefineOptions::default())];
     for patch in [9, 15, 21] {
-        kinds.push((format!("as in a run, {patch} samples"), true, RefineOptions { patch, ..RefineOptions::default() }));
+        kinds.push((
+            format!("as in a run, {patch} samples"),
+            true,
+            RefineOptions { patch, ..RefineOptions::default() },
+        ));
     }
     kinds
 }
@@ -89,7 +94,9 @@ fn residuals(truth: &Truth, images: &[ImageFeatures], tracks: &Tracks, points: &
     let mut residuals = Vec::new();
     for (track, range) in tracks.iter().zip(tracks.starts.windows(2)) {
         let points = &points[range[0]..range[1]];
-        let Some(named) = points.iter().position(|point| matches!(point, TrackPoint::Reference { .. })) else { continue };
+        let Some(named) = points.iter().position(|point| matches!(point, TrackPoint::Reference { .. })) else {
+            continue;
+        };
         let reference = track[named].image as usize;
         let at = position(images, &track[named]);
         let Some(surface) = truth.at(reference, &at) else { continue };
