@@ -87,22 +87,22 @@ impl Seed {
     }
 }
 
-/// The change from keypoint A's neighbourhood to B's by their sizes and orientations.
+/// The change from A's neighbourhood to B's by sizes and orientations.
 pub fn similarity(a: &KeyPoint, b: &KeyPoint) -> Matrix2<f64> {
     let turn = Rotation2::new(f64::from(b.angle) - f64::from(a.angle));
     turn.matrix() * (f64::from(b.size) / f64::from(a.size))
 }
 
-/// The part of second order of a patch's change: an offset (u, v) px in image A moves what image B shows by `c0 uu + c1 uv + c2 vv` px
-/// beside the linear part, with three factors for each axis of B, 1/px.
+/// The part of second order of a patch's change: an offset (u, v) px in image A moves what image B shows by `c0 uu + c1
+/// uv + c2 vv` px beside the linear part, with three factors for each axis of B, 1/px.
 ///
-/// A plane seen from two places has one (its homography is no affine map), and so has a lens with distortion. It is an even
-/// function: over a window it does not cancel, and what is aligned without it lies off by its weighted mean.
+/// A plane seen from two places has one (its homography is no affine map), and so has a lens with distortion. It is an
+/// even function: over a window it does not cancel, and what is aligned without it lies off by its weighted mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Bend(pub [[f64; 3]; 2]);
 
-/// Predicts the [`Bend`] of a match from its linear part and its place in image B (px) as they were found so far. `None`
-/// where nothing is known: the change is then taken as affine.
+/// Predicts the [`Bend`] of a match from its linear part and its place in image B (px) as they were found so far.
+/// `None` where nothing is known: the change is then taken as affine.
 pub type BendPrediction<'a> = &'a dyn Fn(&Matrix2<f64>, &Point2<f64>) -> Option<Bend>;
 
 /// A refined match.
@@ -144,7 +144,8 @@ const SMALLEST_PATCH: usize = 7;
 const FINEST_SIZE_PX: f64 = 5.0;
 /// At rest, px of the level: the step after one of this length is a fraction of it.
 const AT_REST: f64 = 0.008;
-/// Nearly so, px of the level: the linear part then tells the slant of the surface well enough for what is of second order.
+/// Nearly so, px of the level: the linear part then tells the slant of the surface well enough for what is of second
+/// order.
 const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
 const LEAST_CONTRAST: f64 = 1.0;
@@ -221,7 +222,8 @@ impl Refiner {
         self.refine_bent(a, b, seed, &|_, _| None)
     }
 
-    /// The same where the part of second order is predicted once the linear part is known roughly; the errors are the same.
+    /// The same where the part of second order is predicted once the linear part is known roughly; the errors are the
+    /// same.
     pub fn refine_bent(
         &mut self,
         a: &Pyramid,
@@ -243,9 +245,10 @@ impl Refiner {
 
 /// What a smaller window makes of the match beside the larger one, as a covariance of the error that is none of noise.
 ///
-/// Where the surface is a plane both windows see the same point, and they differ by noise with the difference of their covariances: the
-/// smaller one uses a part of the larger one's samples (Hausman, "Specification tests in econometrics", 1978). What they differ more is an error of
-/// the kind that grows with the window, and the larger one has it at least once.
+/// Where the surface is a plane both windows see the same point, and they differ by noise with the difference of their
+/// covariances: the smaller one uses a part of the larger one's samples (Hausman, "Specification tests in
+/// econometrics", 1978). What they differ more is an error of the kind that grows with the window, and the larger one
+/// has it at least once.
 fn disagreement(
     narrow: &mut Template,
     images: [&Pyramid; 2],
@@ -256,7 +259,6 @@ fn disagreement(
     options: &RefineOptions,
 ) -> Matrix2<f64> {
     let from = Seed { in_b: refined.in_b, b_from_a: refined.b_from_a, ..*seed };
-    // However unsure the smaller window is alone, it may contradict.
     let lax = RefineOptions { min_correlation: -1.0, max_sigma_px: f64::INFINITY, ..options.clone() };
     let Ok(other) = refine_at(narrow, images, &from, bend, level, options.max_shift, &lax) else {
         return Matrix2::zeros();

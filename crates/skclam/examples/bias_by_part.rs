@@ -1,10 +1,12 @@
-//! Which part of the observations biases a calibration: pixels and depths are replaced by the truth with noise, one after the other.
+//! Which part of the observations biases a calibration: pixels and depths are replaced by the truth with noise, one
+//! after the other.
 //!
-//! `cargo run --release -p skclam --example bias_by_part [DATASET [SETTINGS]]`, by default `../shared/data/virtual-cell` (or the folder of that
-//! name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`, `truth/trajectory.txt` and `truth/scene.ply`.
+//! `cargo run --release -p skclam --example bias_by_part [DATASET [SETTINGS]]`, by default
+//! `../shared/data/virtual-cell` (or the folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`,
+//! `truth/trajectory.txt` and `truth/scene.ply`.
 //!
-//! A line per mixture: the depth offset that is found (mm, 0 is true), the error of the arm's long links together (%), and the
-//! NEES of the arm's free lengths and angles over their number (1 where the claimed covariance is true).
+//! A line per mixture: the depth offset that is found (mm, 0 is true), the error of the arm's long links together (%),
+//! and the NEES of the arm's free lengths and angles over their number (1 where the claimed covariance is true).
 
 mod truth;
 

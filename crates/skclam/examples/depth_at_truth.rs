@@ -1,10 +1,11 @@
 //! The depth that the pipeline reads at features, against the true surface.
 //!
-//! `cargo run --release -p skclam --example depth_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or the folder of that
-//! name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`, `truth/trajectory.txt` and `truth/scene.ply`.
+//! `cargo run --release -p skclam --example depth_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or the
+//! folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`, `truth/trajectory.txt` and
+//! `truth/scene.ply`.
 //!
-//! Errors are taken in inverse depth, where the noise of a triangulating sensor is the same at any range, and printed in
-//! units of 0.1 % per metre: 1 is 1 mm at 1 m, 4 mm at 2 m; positive where the sensor reads too far.
+//! Errors are taken in inverse depth, where the noise of a triangulating sensor is the same at any range, and printed
+//! in units of 0.1 % per metre: 1 is 1 mm at 1 m, 4 mm at 2 m; positive where the sensor reads too far.
 
 mod truth;
 
@@ -78,8 +79,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     rendered(&dataset, &truth, &seen)
 }
 
-/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which tells a bias of the reading from the
-/// luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4 %) stands beside it.
+/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which tells a
+/// bias of the reading from the luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4
+/// %) stands beside it.
 fn rendered(dataset: &Dataset, truth: &Truth, seen: &[(usize, Pixel)]) -> Result<(), Box<dyn std::error::Error>> {
     const SEEDS: u64 = 6;
     let Some(camera) = truth.rig.depth else { return Err("no depth camera".into()) };

@@ -1,11 +1,12 @@
 //! Refined pixels against where the true cameras see the true surface point that a track's reference names.
 //!
-//! `cargo run --release -p skclam --example pixels_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or the folder of that
-//! name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`, `truth/trajectory.txt` and `truth/scene.ply`.
+//! `cargo run --release -p skclam --example pixels_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or
+//! the folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`, `truth/trajectory.txt` and
+//! `truth/scene.ply`.
 //!
-//! The reference of a track is where its keypoint is, by definition: its ray meets the true surface in the point that all other
-//! observations should show. NEES/n is the mean squared error in units of the claimed covariance, over 2: 1 where the
-//! covariance is true.
+//! The reference of a track is where its keypoint is, by definition: its ray meets the true surface in the point that
+//! all other observations should show. NEES/n is the mean squared error in units of the claimed covariance, over 2: 1
+//! where the covariance is true.
 
 mod truth;
 

@@ -6,8 +6,8 @@
 //! `W` (Baker and Matthews 2004). The derivatives of `T` are made orthogonal to a constant and to `T` itself, once:
 //! then neither gain nor bias can enter the solution, and the normal matrix never changes.
 //!
-//! `W` may have a part of second order, `W(x) = p + M x + q(x)`, which is given and stays as it is: at rest `d` and `D` vanish, and what
-//! `q` is then decides where that is.
+//! `W` may have a part of second order, `W(x) = p + M x + q(x)`, which is given and stays as it is: at rest `d` and `D`
+//! vanish, and what `q` is then decides where that is.
 
 use super::pyramid::{Cubic, Level};
 use multiversion::multiversion;

@@ -119,8 +119,8 @@ impl Level {
 
     /// Whether a square patch of `count` samples a side can be interpolated.
     ///
-    /// `centre`, `step` (the move in the level from one sample to the next in u and in v) and `bend` (what is added of second
-    /// order: factors of uu, uv and vv for each axis) are in pixels of the level.
+    /// `centre`, `step` (the move in the level from one sample to the next in u and in v) and `bend` (what is added of
+    /// second order: factors of uu, uv and vv for each axis) are in pixels of the level.
     pub(super) fn holds(&self, centre: [f64; 2], step: [[f32; 2]; 2], bend: [[f32; 3]; 2], count: usize) -> bool {
         let half = (count / 2) as f64;
         let reach = |axis: usize| {
@@ -221,7 +221,8 @@ mod tests {
             let mut bent = [0.0; 25];
             level.sample(centre, step, BENT, &Cubic::smoothing(0.1), 5, &mut bent);
             let change = f64::from(bent[3 * 5 + 4] - patch[3 * 5 + 4]);
-            // At u = 2, v = 1: (4 * 0.2 - 2 * 0.1 + 0.1) + (-4 * 0.3 + 2 * 0.1 + 0.2) px, and half a grey value a pixel.
+            // At u = 2, v = 1: (4 * 0.2 - 2 * 0.1 + 0.1) + (-4 * 0.3 + 2 * 0.1 + 0.2) px, and half a grey value a
+            // pixel.
             assert!((change - 0.5 * scale * (0.7 - 0.8)).abs() < 0.3, "{change}");
             assert!((bent[12] - patch[12]).abs() < 1e-6);
             // Halves are rounded down in x and in y by a quarter on average.

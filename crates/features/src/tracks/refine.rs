@@ -9,14 +9,14 @@ use std::collections::BTreeMap;
 
 /// What is predicted of the change from the patch at an observation (the reference) to the patch at another one.
 pub trait WarpPrediction: Sync {
-    /// The linear part, to start from: a small offset `d` in the first image becomes `M d` in the second. `None` where nothing is
-    /// predicted: then sizes and orientations of the keypoints tell it.
+    /// The linear part, to start from: a small offset `d` in the first image becomes `M d` in the second. `None` where
+    /// nothing is predicted: then sizes and orientations of the keypoints tell it.
     fn linear(&self, _reference: Observation, _observation: Observation) -> Option<Matrix2<f64>> {
         None
     }
 
-    /// The part of second order, when the linear part was found to be `b_from_a` and the point of the reference at `in_b`, px. `None`
-    /// where nothing is predicted: then the change is taken as affine.
+    /// The part of second order, when the linear part was found to be `b_from_a` and the point of the reference at
+    /// `in_b`, px. `None` where nothing is predicted: then the change is taken as affine.
     fn bend(
         &self,
         _reference: Observation,
@@ -80,7 +80,8 @@ impl RefinedTracks {
 ///
 /// The reference is the observation whose keypoint's size is nearest to all others' (least sum of logarithms' distances),
 /// of equals the one of strongest response, then the first. `keypoints` and `pyramids` hold one entry an image. Where
-/// `predicted` gives nothing, the linear part comes from the sizes and orientations of the keypoints, and there is none of second order.
+/// `predicted` gives nothing, the linear part comes from the sizes and orientations of the keypoints, and there is none
+/// of second order.
 ///
 /// Runs on rayon's current pool; the result does not depend on it.
 ///

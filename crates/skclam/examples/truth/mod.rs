@@ -91,7 +91,8 @@ impl Truth {
         self.along(&self.base_from_color[posture], &self.rig.color.unproject(pixel))
     }
 
-    /// Looks around a pixel on rings of growing radius for what is not on the plane seen at the pixel, by more than `tolerance` of the depth.
+    /// Looks around a pixel on rings of growing radius for what is not on the plane seen at the pixel, by more than
+    /// `tolerance` of the depth.
     pub fn surroundings(&self, posture: usize, pixel: &Pixel, tolerance: f64) -> Option<Surroundings> {
         const RADII_PX: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
         const DIRECTIONS: u32 = 8;
@@ -122,7 +123,8 @@ pub fn dataset() -> Result<(PathBuf, Dataset), Box<dyn Error>> {
     Ok((folder, dataset))
 }
 
-/// The point nearest to rays of pixels with covariances, by Gauss-Newton on the reprojection; `None` where it does not settle before all cameras.
+/// The point nearest to rays of pixels with covariances, by Gauss-Newton on the reprojection; `None` where it does not
+/// settle before all cameras.
 pub fn triangulate(
     camera: &PinholeCamera,
     seen: &[(Isometry3, Pixel, nalgebra::Matrix2<f64>)],

@@ -1,9 +1,9 @@
 //! How a patch changes from one image to another beyond its linear part, if it shows a piece of a plane.
 //!
-//! Two cameras see a plane `1/z = w + g . (x - x0)` (x: ray with z = 1) through a homography: the ray `x` of camera A goes to
-//! `R x + t (w + g . (x - x0))` in camera B. Its linear part at `x0` is linear in the slant `g`, so that `g` follows from the linear part that the
-//! alignment of the patches found, and the part of second order from `g`. The poses are those of the nominal rig: what they are off changes
-//! the part of second order by some per cent.
+//! Two cameras see a plane `1/z = w + g . (x - x0)` (x: ray with z = 1) through a homography: the ray `x` of camera A
+//! goes to `R x + t (w + g . (x - x0))` in camera B. Its linear part at `x0` is linear in the slant `g`, so that `g`
+//! follows from the linear part that the alignment of the patches found, and the part of second order from `g`. The
+//! poses are those of the nominal rig: what they are off changes the part of second order by some per cent.
 
 use super::ImageFeatures;
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -12,7 +12,8 @@ use skclam_geometry::{Isometry3, PinholeCamera, Pixel, Point3};
 
 /// Step of the differences, px: about the sigma of the window in which patches are aligned.
 const STEP_PX: f64 = 6.0;
-/// What the found linear part is believed to, mostly since the nominal rig's rotations are off: the noise beside the slant's own spread.
+/// What the found linear part is believed to, mostly since the nominal rig's rotations are off: the noise beside the
+/// slant's own spread.
 const LINEAR_SIGMA: f64 = 0.02;
 /// Spread of slants, `g / w`: a surface at 45 degrees has 1.
 const SLANT_SIGMA: f64 = 0.7;
@@ -60,7 +61,8 @@ struct TwoViews<'a> {
 }
 
 impl TwoViews<'_> {
-    /// Inverse depth in A of the point where the rays come nearest to each other, 1/m; `None` where they are nearly parallel or meet behind.
+    /// Inverse depth in A of the point where the rays come nearest to each other, 1/m; `None` where they are nearly
+    /// parallel or meet behind.
     fn inverse_depth(&self, in_b: &Pixel) -> Option<f64> {
         let (along, t) = (self.b_from_a.rotation * self.ray, self.b_from_a.translation.vector);
         let toward = self.camera.unproject(in_b);
@@ -121,7 +123,8 @@ impl TwoViews<'_> {
 mod tests {
     use super::*;
 
-    /// A slanted plane between two distorted views: the second-order part that follows from the true linear part is that of the true map.
+    /// A slanted plane between two distorted views: the second-order part that follows from the true linear part is
+    /// that of the true map.
     #[test]
     fn the_bend_of_a_plane_follows_from_its_linear_part() {
         let mut camera = PinholeCamera::from_hfov(1280, 720, 1.2);

@@ -1,22 +1,23 @@
 //! The depth of a pixel of the *colour* image, looked up in a depth image that another camera took.
 //!
-//! A colour pixel is a ray. Around the place where it meets the measured surface, a plane is fitted to the readings: in *inverse* depth, which
-//! is linear in the pixel on a plane and has the same noise at any range where depth comes from triangulation. The ray meets that plane in a
-//! point, whose place in the depth image says whether it was the right window; else the fit is repeated there.
+//! A colour pixel is a ray. Around the place where it meets the measured surface, a plane is fitted to the readings: in
+//! *inverse* depth, which is linear in the pixel on a plane and has the same noise at any range where depth comes from
+//! triangulation. The ray meets that plane in a point, whose place in the depth image says whether it was the right
+//! window; else the fit is repeated there.
 //!
-//! Where the readings leave their plane by more than the image's own noise, two surfaces meet or one is bent: what the colour
-//! pixel shows may lie on either, and a mean of both on none. Such pixels have no depth.
+//! Where the readings leave their plane by more than the image's own noise, two surfaces meet or one is bent: what the
+//! colour pixel shows may lie on either, and a mean of both on none. Such pixels have no depth.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
 
-/// The window reaches so many pixels from its centre. A larger one averages more, but what neighbours have in common it cannot, and steps too
-/// small to be told from noise bend its plane at more of the features.
+/// The window reaches so many pixels from its centre. A larger one averages more, but what neighbours have in common it
+/// cannot, and steps too small to be told from noise bend its plane at more of the features.
 const HALF_WINDOW: i64 = 1;
 /// Least number of the window's pixels with a value.
 const MIN_READINGS: u32 = 7;
-/// Largest sum of squares of what the plane leaves, in sigmas of a reading's own noise and a degree of freedom: a window of one surface passes it
-/// in 97 of 100 cases (chi squared with six degrees of freedom).
+/// Largest sum of squares of what the plane leaves, in sigmas of a reading's own noise and a degree of freedom: a
+/// window of one surface passes it in 97 of 100 cases (chi squared with six degrees of freedom).
 const MAX_SQUARES: f64 = 2.3;
 /// No sensor is better, relative to the inverse depth: what remains of exact images is the curvature of surfaces.
 const LEAST_RELATIVE_SIGMA: f64 = 1e-3;
@@ -32,7 +33,8 @@ pub struct DepthSample {
     pub depth_m: f64,
     /// The plane's slant: how the inverse depth grows with the normalised coordinates x and y of the colour image, 1/m.
     pub inverse_depth_gradient: [f64; 2],
-    /// Standard deviation relative to that of a single reading of the image: the fit averages what neighbours do not have in common.
+    /// Standard deviation relative to that of a single reading of the image: the fit averages what neighbours do not
+    /// have in common.
     pub relative_sigma: f64,
 }
 
@@ -175,8 +177,8 @@ impl<'a> RegisteredDepth<'a> {
         sum <= MAX_SQUARES * f64::from(count - 3)
     }
 
-    /// The plane `n . P = 1` of a window in the colour camera's frame: `n . ray` is the inverse depth on a ray with z = 1. `None` where it
-    /// passes through the colour camera.
+    /// The plane `n . P = 1` of a window in the colour camera's frame: `n . ray` is the inverse depth on a ray with z =
+    /// 1. `None` where it passes through the colour camera.
     fn plane_in_color(&self, window: &Window) -> Option<Vector3<f64>> {
         let camera = &self.depth_camera.camera;
         let pixel = Pixel::new(window.centre[0] as f64, window.centre[1] as f64);
@@ -193,8 +195,8 @@ impl<'a> RegisteredDepth<'a> {
 }
 
 impl Noise {
-    /// From second differences along rows, which vanish on planes: between neighbours they show what each reading has of its own, far
-    /// apart all of its noise. Their medians do not mind edges.
+    /// From second differences along rows, which vanish on planes: between neighbours they show what each reading has
+    /// of its own, far apart all of its noise. Their medians do not mind edges.
     fn of(depth: &DepthImage) -> Self {
         let width = depth.width() as usize;
         let sigma = |apart: usize| {
