@@ -38,6 +38,14 @@ pub struct DepthSample {
     pub relative_sigma: f64,
 }
 
+impl DepthSample {
+    /// How z-depth changes with the normalised coordinates x and y of the colour image, m. Nine readings tell it roughly: of a sensor with
+    /// `sigma = s z^2` it has a noise of about `0.4 s f z^2`, with the depth camera's focal length `f` in px.
+    pub fn slope_m(&self) -> [f64; 2] {
+        self.inverse_depth_gradient.map(|gradient| -gradient * self.depth_m * self.depth_m)
+    }
+}
+
 /// A depth image that answers for pixels of the colour image.
 #[derive(Debug)]
 pub struct RegisteredDepth<'a> {
@@ -257,11 +265,20 @@ mod tests {
             assert_eq!(registered.at(&pixel), Some(sample.depth_m));
             let [x, y] = sample.inverse_depth_gradient;
             assert!((x - normal.x / offset).abs() < 1e-4 && (y - normal.y / offset).abs() < 1e-4);
+            let beside = slope_along_x(&color, &normal, offset, &pixel);
+            assert!((sample.slope_m()[0] - beside).abs() < 1e-3);
             assert!(sample.relative_sigma < 0.7, "nine readings of their own noise: {}", sample.relative_sigma);
         }
         assert_eq!(registered.at(&Pixel::new(-5000.0, 0.0)), None);
         let empty = DepthImage::new(2, 2, vec![0.0; 4]).unwrap();
         assert!(RegisteredDepth::new(&empty, &depth_camera, &color).is_none());
+    }
+
+    /// How the depth of the plane `n . p = c` changes with x, by differences.
+    fn slope_along_x(camera: &PinholeCamera, normal: &Vector3<f64>, offset: f64, pixel: &Pixel) -> f64 {
+        let ray = camera.unproject(pixel);
+        let at = |dx: f64| offset / normal.dot(&(ray + Vector3::x() * dx));
+        (at(1e-6) - at(-1e-6)) / 2e-6
     }
 
     const SIDE: u32 = 120;
