@@ -22,7 +22,10 @@ pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
 pub use mask::{CameraFixed, MaskOptions, MaskOutcome, MatchedPair, find_camera_fixed, keep_unmasked};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
-pub use refine::{Pyramid, RefineOptions, Refined, Rejection, Seed, WarpModel, refine_matches};
+pub use refine::{
+    Bend, BendPrediction, Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed, WarpModel, refine_matches,
+};
 pub use tracks::{
-    ImagePair, Observation, TrackOptions, TrackPoint, Tracks, build_tracks, refine_tracks, refine_tracks_in_windows,
+    ImagePair, Observation, TrackOptions, TrackPoint, Tracks, WarpPrediction, build_tracks, refine_tracks,
+    refine_tracks_in_windows,
 };

@@ -17,7 +17,7 @@ pub use pyramid::Pyramid;
 use crate::{FeaturesError, KeyPoint};
 use align::{Fit, Freedom, Template, Warp};
 use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
-use pyramid::Cubic;
+use pyramid::{Cubic, Level};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -87,11 +87,23 @@ impl Seed {
     }
 }
 
-/// The change from keypoint A's neighbourhood to keypoint B's that their sizes and orientations tell.
+/// The change from A's neighbourhood to B's by sizes and orientations.
 pub fn similarity(a: &KeyPoint, b: &KeyPoint) -> Matrix2<f64> {
     let turn = Rotation2::new(f64::from(b.angle) - f64::from(a.angle));
     turn.matrix() * (f64::from(b.size) / f64::from(a.size))
 }
+
+/// The part of second order of a patch's change: an offset (u, v) px in image A moves what image B shows by `c0 uu + c1
+/// uv + c2 vv` px beside the linear part, with three factors for each axis of B, 1/px.
+///
+/// A plane seen from two places has one (its homography is no affine map), and so has a lens with distortion. It is an
+/// even function: over a window it does not cancel, and what is aligned without it lies off by its weighted mean.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Bend(pub [[f64; 3]; 2]);
+
+/// Predicts the [`Bend`] of a match from its linear part and its place in image B (px) as they were found so far.
+/// `None` where nothing is known: the change is then taken as affine.
+pub type BendPrediction<'a> = &'a dyn Fn(&Matrix2<f64>, &Point2<f64>) -> Option<Bend>;
 
 /// A refined match.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,10 +138,15 @@ pub enum Rejection {
     Uncertain,
 }
 
+/// Samples along a side of the smallest patch that still tells six parameters.
+const SMALLEST_PATCH: usize = 7;
 /// Keypoint diameter for which one sample is one pixel of the full image (AKAZE's finest level has 4.8).
 const FINEST_SIZE_PX: f64 = 5.0;
 /// At rest, px of the level: the step after one of this length is a fraction of it.
 const AT_REST: f64 = 0.008;
+/// Nearly so, px of the level: the linear part then tells the slant of the surface well enough for what is of second
+/// order.
+const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
 const LEAST_CONTRAST: f64 = 1.0;
 /// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
@@ -140,7 +157,7 @@ const FLOOR_SIGMA_PX: f64 = 0.005;
 impl RefineOptions {
     fn check(&self) -> Result<(), FeaturesError> {
         let bad = |option, got: String, need| Err(FeaturesError::BadOption { option, got, need });
-        if !(7..=31).contains(&self.patch) || self.patch.is_multiple_of(2) {
+        if !(SMALLEST_PATCH..=31).contains(&self.patch) || self.patch.is_multiple_of(2) {
             return bad("patch", self.patch.to_string(), "an odd number from 7 to 31");
         }
         if !(self.max_shift > 0.0 && self.max_shift.is_finite()) {
@@ -177,6 +194,8 @@ pub fn refine_matches(
 #[derive(Debug, Clone)]
 pub struct Refiner {
     template: Template,
+    /// A smaller window, to compare with; `None` where the window is as small as can be.
+    narrow: Option<Template>,
     options: RefineOptions,
 }
 
@@ -187,7 +206,12 @@ impl Refiner {
     /// [`FeaturesError::BadOption`].
     pub fn new(options: &RefineOptions) -> Result<Self, FeaturesError> {
         options.check()?;
-        Ok(Refiner { template: Template::new(options.patch), options: options.clone() })
+        let narrow = ((3 * options.patch / 5) | 1).max(SMALLEST_PATCH);
+        Ok(Refiner {
+            template: Template::new(options.patch),
+            narrow: (narrow < options.patch).then(|| Template::new(narrow)),
+            options: options.clone(),
+        })
     }
 
     /// Refines a match between image A and image B.
@@ -195,36 +219,86 @@ impl Refiner {
     /// # Errors
     /// Why the match is not to be believed.
     pub fn refine(&mut self, a: &Pyramid, b: &Pyramid, seed: &Seed) -> Result<Refined, Rejection> {
-        refine_one(&mut self.template, a, b, seed, &self.options)
+        self.refine_bent(a, b, seed, &|_, _| None)
+    }
+
+    /// The same where the part of second order is predicted once the linear part is known roughly; the errors are the
+    /// same.
+    pub fn refine_bent(
+        &mut self,
+        a: &Pyramid,
+        b: &Pyramid,
+        seed: &Seed,
+        bend: BendPrediction<'_>,
+    ) -> Result<Refined, Rejection> {
+        let (refined, level) = refine_one(&mut self.template, a, b, seed, bend, &self.options)?;
+        let Some(narrow) = &mut self.narrow else { return Ok(refined) };
+        let doubt = disagreement(narrow, [a, b], seed, bend, level, &refined, &self.options);
+        let covariance = refined.covariance + doubt;
+        let largest = self.options.max_sigma_px * self.options.max_sigma_px;
+        if covariance.symmetric_eigenvalues().max() > largest {
+            return Err(Rejection::Uncertain);
+        }
+        Ok(Refined { covariance, ..refined })
     }
 }
 
-/// Coarse to fine for one match.
+/// What a smaller window makes of the match beside the larger one, as a covariance of the error that is none of noise.
+///
+/// Where the surface is a plane both windows see the same point, and they differ by noise with the difference of their
+/// covariances: the smaller one uses a part of the larger one's samples (Hausman, "Specification tests in
+/// econometrics", 1978). What they differ more is an error of the kind that grows with the window, and the larger one
+/// has it at least once.
+fn disagreement(
+    narrow: &mut Template,
+    images: [&Pyramid; 2],
+    seed: &Seed,
+    bend: BendPrediction<'_>,
+    level: usize,
+    refined: &Refined,
+    options: &RefineOptions,
+) -> Matrix2<f64> {
+    let from = Seed { in_b: refined.in_b, b_from_a: refined.b_from_a, ..*seed };
+    let lax = RefineOptions { min_correlation: -1.0, max_sigma_px: f64::INFINITY, ..options.clone() };
+    let Ok(other) = refine_at(narrow, images, &from, bend, level, options.max_shift, &lax) else {
+        return Matrix2::zeros();
+    };
+    let apart = other.in_b - refined.in_b;
+    let more = other.covariance - refined.covariance;
+    let by_noise = if more.determinant() > 0.0 && more.trace() > 0.0 { more } else { other.covariance };
+    let Some(inverse) = by_noise.try_inverse() else { return Matrix2::zeros() };
+    // Two is what noise alone makes of it in the mean.
+    let squared = apart.dot(&(inverse * apart));
+    if squared > 2.0 { apart * apart.transpose() * (1.0 - 2.0 / squared) } else { Matrix2::zeros() }
+}
+
+/// Coarse to fine for one match; the answer and the level that gave it.
 fn refine_one(
     template: &mut Template,
     a: &Pyramid,
     b: &Pyramid,
     seed: &Seed,
+    bend: BendPrediction<'_>,
     options: &RefineOptions,
-) -> Result<Refined, Rejection> {
+) -> Result<(Refined, usize), Rejection> {
     let finite = seed.in_a.iter().chain(seed.in_b.iter()).chain(seed.b_from_a.iter()).all(|value| value.is_finite());
     let determinant = seed.b_from_a.determinant();
     if !finite || !(1.0 / 64.0..=64.0).contains(&determinant) || seed.size_px.is_nan() || seed.size_px <= 0.0 {
         return Err(Rejection::BadPrediction);
     }
     let coarsest = (seed.size_px / FINEST_SIZE_PX).log2().round().clamp(0.0, (a.levels.len() - 1) as f64) as usize;
-    let mut best: Option<Refined> = None;
+    let mut best: Option<(Refined, usize)> = None;
     let mut from = *seed;
     for level in (0..=coarsest).rev() {
         // Later levels only correct what the coarser one left.
         let reach = if best.is_none() { options.max_shift } else { options.max_shift.min(1.5) };
-        match refine_at(template, a, b, &from, level, reach, options) {
+        match refine_at(template, [a, b], &from, bend, level, reach, options) {
             Ok(refined) => {
-                let finer = best.is_none_or(|best| refined.covariance.trace() < best.covariance.trace());
+                let finer = best.is_none_or(|(best, _)| refined.covariance.trace() < best.covariance.trace());
                 if !finer {
                     break;
                 }
-                best = Some(refined);
+                best = Some((refined, level));
                 (from.in_b, from.b_from_a) = (refined.in_b, refined.b_from_a);
             }
             // The finer level adds nothing, or the coarse one did not fit and the finer might.
@@ -238,9 +312,9 @@ fn refine_one(
 /// Aligns at one level of image A, and at that of image B where a sample is about one pixel.
 fn refine_at(
     template: &mut Template,
-    a: &Pyramid,
-    b: &Pyramid,
+    [a, b]: [&Pyramid; 2],
     seed: &Seed,
+    bend: BendPrediction<'_>,
     level_a: usize,
     reach: f64,
     options: &RefineOptions,
@@ -260,13 +334,43 @@ fn refine_at(
     if template.contrast() < LEAST_CONTRAST {
         return Err(Rejection::NoTexture);
     }
-    let start =
-        Warp { centre: seed.in_b.coords / scale_b, linear: seed.b_from_a * (scale_a / scale_b), cubic: cubic_b };
+    let start = Warp {
+        centre: seed.in_b.coords / scale_b,
+        linear: seed.b_from_a * (scale_a / scale_b),
+        bend: Default::default(),
+        cubic: cubic_b,
+    };
+    let bent = |warp: &Warp| {
+        let Bend(factors) = bend(&(warp.linear * (scale_b / scale_a)), &Point2::from(warp.centre * scale_b))?;
+        Some(factors.map(|axis| axis.map(|factor| (factor * scale_a * scale_a / scale_b) as f32)))
+    };
+    let (warp, freedom) = come_to_rest(template, level, start, &bent, reach, options)?;
+    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
+    if correlation < options.min_correlation {
+        return Err(Rejection::PoorCorrelation);
+    }
+    let floor = Matrix2::identity() * (FLOOR_SIGMA_PX * FLOOR_SIGMA_PX);
+    let covariance = (covariance * SAMPLES_IN_ONE + floor) * (scale_b * scale_b);
+    if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
+        return Err(Rejection::Uncertain);
+    }
+    let in_b: Vector2<f64> = warp.centre * scale_b;
+    Ok(Refined { in_b: in_b.into(), covariance, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+}
+
+/// Steps until nothing moves any more; the second-order part is asked for as soon as the linear part is about right.
+fn come_to_rest(
+    template: &mut Template,
+    level: &Level,
+    start: Warp,
+    bent: &dyn Fn(&Warp) -> Option<[[f32; 3]; 2]>,
+    reach: f64,
+    options: &RefineOptions,
+) -> Result<(Warp, Freedom), Rejection> {
     let mut warp = start;
     let reach = reach * start.linear.determinant().sqrt();
-
     let mut freedom = Freedom::Shift;
-    let mut at_rest = false;
+    let mut is_bent = false;
     for iteration in 0..options.max_iterations {
         let moved = template.step(level, &mut warp, freedom).ok_or(Rejection::OutsideImage)?;
         let change = warp.linear.determinant() / start.linear.determinant();
@@ -277,27 +381,19 @@ fn refine_at(
             // First the shift alone: the linear part of a displaced patch is noise.
             (WarpModel::Affine, Freedom::Shift) if moved < 0.3 || iteration >= 3 => freedom = Freedom::Affine,
             (WarpModel::Affine, Freedom::Shift) => {}
-            _ if moved < AT_REST => {
-                at_rest = true;
-                break;
+            _ if moved < NEARLY_AT_REST && !is_bent => {
+                is_bent = true;
+                match bent(&warp) {
+                    Some(bend) => warp.bend = bend,
+                    None if moved < AT_REST => return Ok((warp, freedom)),
+                    None => {}
+                }
             }
+            _ if moved < AT_REST => return Ok((warp, freedom)),
             _ => {}
         }
     }
-    if !at_rest {
-        return Err(Rejection::NotConverged);
-    }
-    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
-    if correlation < options.min_correlation {
-        return Err(Rejection::PoorCorrelation);
-    }
-    let covariance = covariance * (SAMPLES_IN_ONE * scale_b * scale_b)
-        + Matrix2::identity() * (FLOOR_SIGMA_PX * scale_b * FLOOR_SIGMA_PX * scale_b);
-    if covariance.symmetric_eigenvalues().max() > options.max_sigma_px * options.max_sigma_px {
-        return Err(Rejection::Uncertain);
-    }
-    let in_b: Vector2<f64> = warp.centre * scale_b;
-    Ok(Refined { in_b: in_b.into(), covariance, correlation, b_from_a: warp.linear * (scale_b / scale_a) })
+    Err(Rejection::NotConverged)
 }
 
 #[cfg(test)]

@@ -5,6 +5,9 @@
 //! `T(x + d + D x) ~ gain B(W(x)) + bias` is solved for `d` and `D`, and the inverse of that change is put in front of
 //! `W` (Baker and Matthews 2004). The derivatives of `T` are made orthogonal to a constant and to `T` itself, once:
 //! then neither gain nor bias can enter the solution, and the normal matrix never changes.
+//!
+//! `W` may have a part of second order, `W(x) = p + M x + q(x)`, which is given and stays as it is: at rest `d` and `D`
+//! vanish, and what `q` is then decides where that is.
 
 use super::pyramid::{Cubic, Level};
 use multiversion::multiversion;
@@ -48,6 +51,8 @@ pub(super) struct Warp {
     pub(super) centre: Vector2<f64>,
     /// Pixels of the level in B for one sample of the template.
     pub(super) linear: Matrix2<f64>,
+    /// The part of second order: for each axis the factors of uu, uv and vv, pixels of the level for squared samples.
+    pub(super) bend: [[f32; 3]; 2],
     /// How image B is interpolated.
     pub(super) cubic: Cubic,
 }
@@ -112,10 +117,11 @@ impl Template {
     /// Cuts the template; false if it does not lie in the image.
     pub(super) fn cut(&mut self, level: &Level, centre: [f64; 2], cubic: &Cubic) -> bool {
         let step = [[1.0, 0.0], [0.0, 1.0]];
-        if !level.holds(centre, step, self.count + 2) {
+        let straight = [[0.0; 3]; 2];
+        if !level.holds(centre, step, straight, self.count + 2) {
             return false;
         }
-        level.sample(centre, step, cubic, self.count + 2, &mut self.margin);
+        level.sample(centre, step, straight, cubic, self.count + 2, &mut self.margin);
         differentiate(self);
         true
     }
@@ -170,10 +176,10 @@ impl Template {
     fn look(&mut self, level: &Level, warp: &Warp) -> Option<Look> {
         let step = [[warp.linear.m11 as f32, warp.linear.m12 as f32], [warp.linear.m21 as f32, warp.linear.m22 as f32]];
         let centre = [warp.centre.x, warp.centre.y];
-        if !level.holds(centre, step, self.count) {
+        if !level.holds(centre, step, warp.bend, self.count) {
             return None;
         }
-        level.sample(centre, step, &warp.cubic, self.count, &mut self.other);
+        level.sample(centre, step, warp.bend, &warp.cubic, self.count, &mut self.other);
         let [sum, squares, products] = moments(&self.other, &self.centred, &self.weights, self.mean);
         let energy = squares - sum * sum / self.weights_sum;
         if !(energy > 0.0 && self.energy > 0.0) {

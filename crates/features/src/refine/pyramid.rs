@@ -119,10 +119,15 @@ impl Level {
 
     /// Whether a square patch of `count` samples a side can be interpolated.
     ///
-    /// `centre` and `step` (the move in the level from one sample to the next in u and in v) are in pixels of the level.
-    pub(super) fn holds(&self, centre: [f64; 2], step: [[f32; 2]; 2], count: usize) -> bool {
+    /// `centre`, `step` (the move in the level from one sample to the next in u and in v) and `bend` (what is added of
+    /// second order: factors of uu, uv and vv for each axis) are in pixels of the level.
+    pub(super) fn holds(&self, centre: [f64; 2], step: [[f32; 2]; 2], bend: [[f32; 3]; 2], count: usize) -> bool {
         let half = (count / 2) as f64;
-        let reach = |axis: usize| half * f64::from(step[axis][0].abs() + step[axis][1].abs()) + 1.0;
+        let reach = |axis: usize| {
+            let linear = step[axis].iter().map(|value| value.abs()).sum::<f32>();
+            let bent = bend[axis].iter().map(|value| value.abs()).sum::<f32>();
+            half * (f64::from(linear) + half * f64::from(bent)) + 1.0
+        };
         let inside = |axis: usize, size: usize| {
             centre[axis] - reach(axis) >= 1.0 && centre[axis] + reach(axis) <= size as f64 - 3.0
         };
@@ -130,13 +135,21 @@ impl Level {
     }
 
     /// Samples the patch into the start of `into`, row by row, in grey values; the caller has asked [`Level::holds`].
-    pub(super) fn sample(&self, centre: [f64; 2], step: [[f32; 2]; 2], cubic: &Cubic, count: usize, into: &mut [f32]) {
+    pub(super) fn sample(
+        &self,
+        centre: [f64; 2],
+        step: [[f32; 2]; 2],
+        bend: [[f32; 3]; 2],
+        cubic: &Cubic,
+        count: usize,
+        into: &mut [f32],
+    ) {
         let origin = centre.map(f64::floor);
         // From here the rest is small, so that single precision is enough; no patch reaches farther than this.
         let base = BASE as i64;
         let fraction = [(centre[0] - origin[0]) as f32 + BASE, (centre[1] - origin[1]) as f32 + BASE];
         let start = (origin[1] as i64 - base - 1) * self.width as i64 + origin[0] as i64 - base - 1;
-        interpolate(&self.values, self.width, start, fraction, step, cubic, count, into);
+        interpolate(&self.values, self.width, start, fraction, step, bend, cubic, count, into);
     }
 }
 
@@ -153,6 +166,7 @@ fn interpolate(
     start: i64,
     fraction: [f32; 2],
     step: [[f32; 2]; 2],
+    bend: [[f32; 3]; 2],
     cubic: &Cubic,
     count: usize,
     into: &mut [f32],
@@ -160,10 +174,12 @@ fn interpolate(
     let half = (count / 2) as f32;
     for (v, row) in into.chunks_exact_mut(count).take(count).enumerate() {
         let v = v as f32 - half;
-        let (x0, y0) = (fraction[0] + step[0][1] * v, fraction[1] + step[1][1] * v);
+        // Along a row the warp is a polynomial of u.
+        let [start_x, start_y] = [0, 1].map(|axis| fraction[axis] + (step[axis][1] + bend[axis][2] * v) * v);
+        let [step_x, step_y] = [0, 1].map(|axis| step[axis][0] + bend[axis][1] * v);
         for (u, value) in row.iter_mut().enumerate() {
             let u = u as f32 - half;
-            let (x, y) = (x0 + step[0][0] * u, y0 + step[1][0] * u);
+            let (x, y) = (start_x + (step_x + bend[0][0] * u) * u, start_y + (step_y + bend[1][0] * u) * u);
             let (floor_x, floor_y) = (x as i32, y as i32);
             let weights = cubic.weights(x - floor_x as f32, y - floor_y as f32);
             let first = (start + i64::from(floor_y) * width as i64 + i64::from(floor_x)) as usize;
@@ -186,6 +202,9 @@ fn interpolate(
 mod tests {
     use super::*;
 
+    const STRAIGHT: [[f32; 3]; 2] = [[0.0; 3]; 2];
+    const BENT: [[f32; 3]; 2] = [[0.2, -0.1, 0.1], [-0.3, 0.1, 0.2]];
+
     #[test]
     fn a_ramp_is_reproduced_at_every_level_without_a_shift() {
         let image = GrayImage::from_fn(200, 180, |x, y| image::Luma([(x / 2 + y / 2) as u8]));
@@ -196,9 +215,16 @@ mod tests {
             let centre = [100.3 / scale, 90.7 / scale];
             let step = [[0.9, 0.2], [-0.1, 1.1]];
             // The border repeats and bends the ramp; stay away from it.
-            assert!(level.holds(centre, step, 5));
+            assert!(level.holds(centre, step, STRAIGHT, 5));
             let mut patch = [0.0; 25];
-            level.sample(centre, step, &Cubic::smoothing(0.1), 5, &mut patch);
+            level.sample(centre, step, STRAIGHT, &Cubic::smoothing(0.1), 5, &mut patch);
+            let mut bent = [0.0; 25];
+            level.sample(centre, step, BENT, &Cubic::smoothing(0.1), 5, &mut bent);
+            let change = f64::from(bent[3 * 5 + 4] - patch[3 * 5 + 4]);
+            // At u = 2, v = 1: (4 * 0.2 - 2 * 0.1 + 0.1) + (-4 * 0.3 + 2 * 0.1 + 0.2) px, and half a grey value a
+            // pixel.
+            assert!((change - 0.5 * scale * (0.7 - 0.8)).abs() < 0.3, "{change}");
+            assert!((bent[12] - patch[12]).abs() < 1e-6);
             // Halves are rounded down in x and in y by a quarter on average.
             let expected = (100.3 + 90.7) / 2.0 - 0.5;
             assert!((f64::from(patch[12]) - expected).abs() < 0.3, "{} is not {expected}", patch[12]);
@@ -215,9 +241,9 @@ mod tests {
             for x in 0..width {
                 for y in 0..height {
                     let centre = [f64::from(x), f64::from(y)];
-                    if level.holds(centre, [[1.0, 0.5], [0.5, 1.0]], 3) {
+                    if level.holds(centre, [[1.0, 0.5], [0.5, 1.0]], BENT, 3) {
                         let mut patch = [0.0; 9];
-                        level.sample(centre, [[1.0, 0.5], [0.5, 1.0]], &Cubic::smoothing(1.0), 3, &mut patch);
+                        level.sample(centre, [[1.0, 0.5], [0.5, 1.0]], BENT, &Cubic::smoothing(1.0), 3, &mut patch);
                         assert!(patch.iter().all(|value| (value - 255.0).abs() < 1e-3));
                     }
                 }

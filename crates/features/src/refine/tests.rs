@@ -183,3 +183,63 @@ fn the_same_image_gives_the_same_point() {
     assert!((refined.in_b - at).norm() < 1e-3);
     assert!(refined.correlation > 0.9999);
 }
+
+/// The second-order part of a homography.
+fn bend_of(h: &Matrix3<f64>, p: Point2<f64>) -> Bend {
+    let at = |u: f64, v: f64| map(h, p + Vector2::new(u, v)).coords;
+    let twice = at(0.0, 0.0) * 2.0;
+    let uu = (at(1.0, 0.0) + at(-1.0, 0.0) - twice) / 2.0;
+    let vv = (at(0.0, 1.0) + at(0.0, -1.0) - twice) / 2.0;
+    let uv = (at(1.0, 1.0) + at(-1.0, -1.0) - at(1.0, -1.0) - at(-1.0, 1.0)) / 4.0;
+    Bend([0, 1].map(|axis| [uu[axis], uv[axis], vv[axis]]))
+}
+
+#[test]
+fn a_slanted_plane_shifts_no_point_whose_bend_is_known() {
+    let b_from_a = homography(0.0, 1.0, 1.5);
+    let waves = Waves::new(3);
+    let a = Pyramid::new(&waves.image(&Matrix3::identity(), 0.9, 0.3, 1));
+    let b = Pyramid::new(&waves.image(&b_from_a.try_inverse().unwrap(), 0.9, 0.3, 2));
+    let mut refiner = Refiner::new(&RefineOptions::default()).unwrap();
+    let [mut affine, mut bent, mut count] = [0.0; 3];
+    for at in 0..300 {
+        let in_a = Point2::new(60.0 + 10.0 * f64::from(at % 20), 50.0 + 9.0 * f64::from(at / 20));
+        let truth = map(&b_from_a, in_a);
+        let seed = Seed { in_a, in_b: truth, b_from_a: derivative(&b_from_a, in_a), size_px: 5.0 };
+        let known = |_: &Matrix2<f64>, _: &Point2<f64>| Some(bend_of(&b_from_a, in_a));
+        let [without, with] = [refiner.refine(&a, &b, &seed), refiner.refine_bent(&a, &b, &seed, &known)];
+        if let (Ok(without), Ok(with)) = (without, with) {
+            affine += without.in_b.x - truth.x;
+            bent += with.in_b.x - truth.x;
+            count += 1.0;
+        }
+    }
+    let [affine, bent] = [affine / count, bent / count];
+    assert!(count > 150.0, "{count}");
+    assert!(affine < -0.01, "the plane's bend pulls to one side: {affine} px");
+    assert!(bent.abs() < 0.2 * affine.abs(), "{bent} px, affine {affine} px");
+}
+
+#[test]
+fn windows_that_disagree_widen_the_covariance() {
+    // Two halves of the patch move apart by a pixel, as at a step in depth.
+    let waves = Waves::new(5);
+    let a = Pyramid::new(&waves.image(&Matrix3::identity(), 0.9, 0.5, 1));
+    let straight = waves.image(&Matrix3::identity(), 0.9, 0.5, 2);
+    let torn = GrayImage::from_fn(320, 240, |x, y| {
+        let moved = if (y / 6) % 2 == 0 { x } else { (x + 1).min(319) };
+        *straight.get_pixel(moved, y)
+    });
+    let mut refiner = Refiner::new(&RefineOptions::default()).unwrap();
+    let mut mean_variance = |b: &Pyramid| {
+        let places = (0..300).map(|at| Point2::new(40.0 + 12.0 * f64::from(at % 20), 40.0 + 10.0 * f64::from(at / 20)));
+        let seeds = places.map(|p| Seed { in_a: p, in_b: p, b_from_a: Matrix2::identity(), size_px: 5.0 });
+        let found: Vec<Refined> = seeds.filter_map(|seed| refiner.refine(&a, b, &seed).ok()).collect();
+        let error = found.iter().map(|r| r.covariance.trace()).sum::<f64>() / found.len() as f64;
+        (found.len(), error)
+    };
+    let (all, noise) = mean_variance(&Pyramid::new(&straight));
+    let (some, apart) = mean_variance(&Pyramid::new(&torn));
+    assert!(all > 200 && some > 50, "{all} {some}");
+    assert!(apart > 4.0 * noise, "{apart} px^2 beside {noise} px^2");
+}

@@ -1,15 +1,32 @@
 //! One position and covariance for every observation of a track.
 
 use super::{Observation, Tracks};
-use crate::refine::{Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed};
+use crate::refine::{Bend, Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed};
 use crate::{FeaturesError, KeyPoint};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Predicts how the patch at the first observation (the reference) changes into the patch at the second: a small offset
-/// `d` in the first image becomes `M d` in the second. `None` where nothing is predicted.
-pub type WarpPrediction<'a> = &'a (dyn Fn(Observation, Observation) -> Option<Matrix2<f64>> + Sync);
+/// What is predicted of the change from the patch at an observation (the reference) to the patch at another one.
+pub trait WarpPrediction: Sync {
+    /// The linear part, to start from: a small offset `d` in the first image becomes `M d` in the second. `None` where
+    /// nothing is predicted: then sizes and orientations of the keypoints tell it.
+    fn linear(&self, _reference: Observation, _observation: Observation) -> Option<Matrix2<f64>> {
+        None
+    }
+
+    /// The part of second order, when the linear part was found to be `b_from_a` and the point of the reference at
+    /// `in_b`, px. `None` where nothing is predicted: then the change is taken as affine.
+    fn bend(
+        &self,
+        _reference: Observation,
+        _observation: Observation,
+        _b_from_a: &Matrix2<f64>,
+        _in_b: &Point2<f64>,
+    ) -> Option<Bend> {
+        None
+    }
+}
 
 /// Where the point of a track is in one of its images.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,7 +80,8 @@ impl RefinedTracks {
 ///
 /// The reference is the observation whose keypoint's size is nearest to all others' (least sum of logarithms' distances),
 /// of equals the one of strongest response, then the first. `keypoints` and `pyramids` hold one entry an image. Where
-/// `predicted` gives nothing, the warp comes from the sizes and orientations of the keypoints.
+/// `predicted` gives nothing, the linear part comes from the sizes and orientations of the keypoints, and there is none
+/// of second order.
 ///
 /// Runs on rayon's current pool; the result does not depend on it.
 ///
@@ -73,7 +91,7 @@ pub fn refine_tracks(
     tracks: &Tracks,
     keypoints: &[&[KeyPoint]],
     pyramids: &[Pyramid],
-    predicted: Option<WarpPrediction<'_>>,
+    predicted: Option<&dyn WarpPrediction>,
     options: &RefineOptions,
 ) -> Result<RefinedTracks, FeaturesError> {
     if pyramids.len() != keypoints.len() {
@@ -98,7 +116,7 @@ pub fn refine_tracks_in_windows<E: From<FeaturesError> + Send>(
     keypoints: &[&[KeyPoint]],
     window: usize,
     prepare: impl Fn(usize) -> Result<Pyramid, E> + Sync,
-    predicted: Option<WarpPrediction<'_>>,
+    predicted: Option<&dyn WarpPrediction>,
     options: &RefineOptions,
 ) -> Result<RefinedTracks, E> {
     let work = Work::new(tracks, keypoints, predicted, options)?;
@@ -138,7 +156,7 @@ struct Alignment {
 struct Work<'a> {
     tracks: &'a Tracks,
     keypoints: &'a [&'a [KeyPoint]],
-    predicted: Option<WarpPrediction<'a>>,
+    predicted: Option<&'a dyn WarpPrediction>,
     refiner: Refiner,
 }
 
@@ -146,7 +164,7 @@ impl<'a> Work<'a> {
     fn new(
         tracks: &'a Tracks,
         keypoints: &'a [&'a [KeyPoint]],
-        predicted: Option<WarpPrediction<'a>>,
+        predicted: Option<&'a dyn WarpPrediction>,
         options: &RefineOptions,
     ) -> Result<Self, FeaturesError> {
         for observation in &tracks.observations {
@@ -202,10 +220,13 @@ impl<'a> Work<'a> {
             let [from, to] =
                 [alignment.reference, alignment.observation].map(|observation| &self.tracks.observations[observation]);
             let mut seed = Seed::from_keypoints(self.keypoint(from), self.keypoint(to));
-            if let Some(warp) = self.predicted.and_then(|predicted| predicted(*from, *to)) {
-                seed.b_from_a = warp;
+            if let Some(linear) = self.predicted.and_then(|predicted| predicted.linear(*from, *to)) {
+                seed.b_from_a = linear;
             }
-            match refiner.refine(pyramid(from.image), pyramid(to.image), &seed) {
+            let bend = |b_from_a: &Matrix2<f64>, in_b: &Point2<f64>| {
+                self.predicted.and_then(|predicted| predicted.bend(*from, *to, b_from_a, in_b))
+            };
+            match refiner.refine_bent(pyramid(from.image), pyramid(to.image), &seed, &bend) {
                 Ok(refined) => TrackPoint::Refined(refined),
                 Err(rejection) => TrackPoint::Rejected(rejection),
             }
@@ -307,8 +328,13 @@ mod tests {
         let failing = |image| Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: 0 });
         assert!(refine_tracks_in_windows(&tracks, &lists, 2, failing, None, &options).is_err());
         // A prediction that is nonsense is used, and tells.
-        let nonsense = |_: Observation, _: Observation| Some(Matrix2::new(0.0, -1.0, 1.0, 0.0));
-        let wrong = refine_tracks(&tracks, &lists, &pyramids, Some(&nonsense), &options).unwrap();
+        struct Nonsense;
+        impl WarpPrediction for Nonsense {
+            fn linear(&self, _: Observation, _: Observation) -> Option<Matrix2<f64>> {
+                Some(Matrix2::new(0.0, -1.0, 1.0, 0.0))
+            }
+        }
+        let wrong = refine_tracks(&tracks, &lists, &pyramids, Some(&Nonsense), &options).unwrap();
         assert!(wrong.refined() <= 2, "{}", wrong.refined());
         assert!(refine_tracks(&tracks, &lists[..3], &pyramids, None, &options).is_err());
     }

@@ -1,6 +1,6 @@
 //! From matches to what the estimators take: points followed over many images, each sighting with one refined position.
 
-use super::{Config, ImageFeatures, MatchedPair, RunError};
+use super::{Config, ImageFeatures, MatchedPair, PlaneWarp, RunError};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use nalgebra::Matrix2;
@@ -147,7 +147,8 @@ fn measure(
         }
         Ok(pyramid)
     };
-    let refined = refine_tracks_in_windows(tracks, keypoints, window, prepare, None, options)?;
+    let predicted = PlaneWarp { images, camera };
+    let refined = refine_tracks_in_windows(tracks, keypoints, window, prepare, Some(&predicted), options)?;
     summary.refined = refined.refined();
     summary.rejected = refined.rejected();
     Ok(refined.points.iter().map(|point| point.measurement(REFERENCE_SIGMA_PX)).collect())
