@@ -75,7 +75,7 @@ pub(crate) fn spread_to_poses(
         .collect()
 }
 
-/// Camera positions over some postures, once the base frame has been fitted to them: a rigid motion of the whole arm is not noticed by whoever registers its base with the
+/// Camera positions over some postures, once the base frame has been fitted to them (where there are joints): a rigid motion of the whole arm is not noticed by whoever registers its base with the
 /// arm itself, and is taken out as standards of absolute accuracy do (ISO 9283). To first order.
 struct AlignedCameras {
     /// Of the stacked positions by the parameters, base frame, rigid motions taken out.
@@ -105,6 +105,10 @@ impl AlignedCameras {
             rigid.fixed_view_mut::<3, 3>(3 * posture, 0).copy_from(&Matrix3::identity());
             let turned = -base_from_camera.translation.vector.cross_matrix();
             rigid.fixed_view_mut::<3, 3>(3 * posture, 3).copy_from(&turned);
+        }
+        // Where the controller's poses are the standard, there is no base to be fitted.
+        if !motion.has_joints() {
+            return Ok(AlignedCameras { jacobian, rigid: DMatrix::zeros(3 * count, 0) });
         }
         // Few or coinciding positions leave fewer than six rigid motions.
         let svd = rigid.svd(true, false);

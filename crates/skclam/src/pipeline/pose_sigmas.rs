@@ -56,6 +56,8 @@ pub struct RegisteredError {
     pub ruler_sigma_mm: f64,
     /// Expected error under the nominal rig, mm: the root of the sum of squares of change and standard deviation.
     pub nominal_mm: f64,
+    /// Whether the base frame was fitted; with flange poses from a controller it is given.
+    pub base_fitted: bool,
 }
 
 impl RegisteredError {
@@ -66,6 +68,7 @@ impl RegisteredError {
             sigma_mm: sigma_m * 1e3,
             ruler_sigma_mm: ruler_sigma_m.unwrap_or(0.0) * 1e3,
             nominal_mm: change_m.hypot(sigma_m) * 1e3,
+            base_fitted: postures.iter().all(|posture| matches!(posture.state, PostureState::Joints(_))),
         }))
     }
 }

@@ -56,10 +56,11 @@ pub fn verdict_sentence(case: &VerdictCase) -> String {
             held_out_text(held_out_px)
         ),
         VerdictCase::SigmaAboveChange { error } => format!(
-            "Do not use this calibration yet: it moves the camera by {} mm, and is itself uncertain by {} mm (one sigma, over your postures with the base frame fitted to them). More, \
+            "Do not use this calibration yet: it moves the camera by {} mm, and is itself uncertain by {} mm (one sigma, over your postures{}). More, \
              or more diverse, postures are needed.",
             short(error.change_mm),
-            short(error.sigma_mm)
+            short(error.sigma_mm),
+            base_text(error)
         ),
         VerdictCase::BetterWithCause { cause, error } => {
             format!("{} But something does not fit: {}.", improvement(error), cause_text(cause))
@@ -75,6 +76,10 @@ pub fn verdict_sentence(case: &VerdictCase) -> String {
     }
 }
 
+fn base_text(error: &RegisteredError) -> &'static str {
+    if error.base_fitted { ", with the base frame fitted" } else { "" }
+}
+
 fn improvement(error: &RegisteredError) -> String {
     let ruler = match error.ruler_sigma_mm / error.sigma_mm {
         share if share > 0.7 => format!(", most of it ({} mm) the tolerance of the scale", short(error.ruler_sigma_mm)),
@@ -82,9 +87,10 @@ fn improvement(error: &RegisteredError) -> String {
         _ => String::new(),
     };
     format!(
-        "The camera's position error over your postures fell from about {} to about {} mm (one sigma, with the base frame fitted{ruler}).",
+        "The camera's position error over your postures fell from about {} to about {} mm (one sigma{}{ruler}).",
         short(error.nominal_mm),
-        short(error.sigma_mm)
+        short(error.sigma_mm),
+        base_text(error)
     )
 }
 

@@ -203,7 +203,8 @@ mod tests {
     }
 
     fn good() -> Evidence {
-        let error = RegisteredError { change_mm: 4.0, sigma_mm: 0.3, ruler_sigma_mm: 0.1, nominal_mm: 4.01 };
+        let error =
+            RegisteredError { change_mm: 4.0, sigma_mm: 0.3, ruler_sigma_mm: 0.1, nominal_mm: 4.01, base_fitted: true };
         Evidence {
             epipolar_px: Some([8.0, 0.2]),
             reprojection_px: Some(0.3),
@@ -221,7 +222,7 @@ mod tests {
         use VerdictGrade::{Bad, Caution, Good};
         let error = |change_mm: f64, sigma_mm: f64| {
             let nominal_mm = change_mm.hypot(sigma_mm);
-            Some(RegisteredError { change_mm, sigma_mm, ruler_sigma_mm: 0.0, nominal_mm })
+            Some(RegisteredError { change_mm, sigma_mm, ruler_sigma_mm: 0.0, nominal_mm, base_fitted: true })
         };
         let cause = Cause::Beyond {
             what: crate::pipeline::Instrument::FocalLength,
@@ -290,7 +291,8 @@ mod tests {
     fn a_rise_is_never_called_a_fall() {
         for (change_mm, sigma_mm) in [(1.0, 0.2), (0.4, 0.4001), (4.6, 40.0), (0.38, 0.71), (5.0, 4.99)] {
             let nominal_mm = f64::hypot(change_mm, sigma_mm);
-            let error = Some(RegisteredError { change_mm, sigma_mm, ruler_sigma_mm: 0.0, nominal_mm });
+            let error =
+                Some(RegisteredError { change_mm, sigma_mm, ruler_sigma_mm: 0.0, nominal_mm, base_fitted: true });
             let sentence = verdict_sentence(&Evidence { error, ..good() }.case(None));
             assert_eq!(sentence.contains("fell"), sigma_mm < change_mm, "{sentence}");
         }
