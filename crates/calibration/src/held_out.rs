@@ -479,7 +479,7 @@ mod tests {
         let models = Rigs { nominal: &nominal_model, mount_only: None, calibrated: &truth_model };
         let comparison = compare_models(models, &pairs, &groups[1], 0.5).unwrap();
         assert_eq!(comparison.reprojection.calibrated.observations, 0);
-        let fold = Fold { held_out: groups[1].clone(), comparison };
+        let fold = Fold { held_out: groups[1].clone(), comparison, offsets: Vec::new() };
         assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");
     }
 }
