@@ -1,5 +1,8 @@
 //! The whole adjustment on image-free recordings.
 
+mod random_effects;
+mod ruler;
+
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
