@@ -49,10 +49,10 @@ fn far_starts(starts: usize) {
         let data = record(&truth, &postures, &room(4000, &mut rng), sensing, &mut rng);
         // So far off are no tolerances of manufacture: the priors would only bias the answer.
         let options =
-            BundleOptions { priors: PriorPolicy::Never, deviations: DeviationPolicy::Off, ..Default::default() };
+            BundleOptions { priors: PriorPolicy::Never, posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let found = calibrate_bundle(&hp3j(), &data, &options).ok()?;
         let out = found.warnings.iter().filter_map(|w| match w {
-            Warning::SuspectPosture { posture, left_out: true, .. } => Some(*posture),
+            Warning::OutlierPosture { posture, excluded: true, .. } => Some(*posture),
             _ => None,
         });
         let out: Vec<usize> = out.collect();
@@ -80,7 +80,7 @@ fn unknown_mounts(starts: usize) {
         let mount = find_mount(&hp3j(), &data).ok()?;
         let nominal = Rig { flange_from_color: mount.model.rig.flange_from_color, ..hp3j() };
         let options =
-            BundleOptions { priors: PriorPolicy::Never, deviations: DeviationPolicy::Off, ..Default::default() };
+            BundleOptions { priors: PriorPolicy::Never, posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let found = calibrate_bundle(&nominal, &data, &options).ok()?;
         Some(camera_error(&truth, &found.model.rig, &postures))
     });

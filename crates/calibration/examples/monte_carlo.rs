@@ -44,7 +44,7 @@ struct Run {
 
 enum Estimator {
     Pairwise,
-    Bundle(DeviationPolicy),
+    Bundle(PostureErrorPolicy),
 }
 
 fn main() {
@@ -73,24 +73,24 @@ fn main() {
         }
         if part("tracks") {
             let name = "ten angles, the paper's 73 postures, bundle adjustment of tracks";
-            report(name, &ten, &Estimator::Bundle(DeviationPolicy::Off), runs);
+            report(name, &ten, &Estimator::Bundle(PostureErrorPolicy::Off), runs);
         }
     }
     let list = Free::List(all);
     if part("full") {
         let full = scene(&list, manufacture(), 40, rgbd);
         let name = "24 parameters, RGB-D, 40 diverse postures, bundle adjustment";
-        report(name, &full, &Estimator::Bundle(DeviationPolicy::Off), runs);
+        report(name, &full, &Estimator::Bundle(PostureErrorPolicy::Off), runs);
     }
     if part("encoder") || part("known") {
         let noisy = scene(&list, manufacture(), 40, Sensing { encoder: ENCODER_DEG.to_radians(), ..rgbd });
         if part("encoder") {
-            let name = "the same with encoder noise of 0.003 deg, joint deviations and their sigma estimated";
-            report(name, &noisy, &Estimator::Bundle(DeviationPolicy::Estimated), runs);
+            let name = "the same with encoder noise of 0.003 deg, joint errors and their sigma estimated";
+            report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::Estimated), runs);
         }
         if part("known") {
-            let name = "the same with the sigma of the joint deviations told";
-            report(name, &noisy, &Estimator::Bundle(DeviationPolicy::SigmaDeg(ENCODER_DEG)), runs);
+            let name = "the same with the sigma of the joint errors told";
+            report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::SigmaDeg(ENCODER_DEG)), runs);
         }
     }
 }
@@ -173,11 +173,11 @@ fn report(name: &str, scene: &Scene, estimator: &Estimator, runs: usize) {
     if let Some(depth) = scene.sensing.depth_relative {
         print!(", depth noise / truth {:.4}", mean(&|run| run.noise.depth_per_m.unwrap_or(f64::NAN)) / depth);
     }
-    if results.iter().all(|run| run.noise.joint_deviation.is_some()) {
-        let sigma = |run: &Run| run.noise.joint_deviation.unwrap_or(f64::NAN).to_degrees();
+    if results.iter().all(|run| run.noise.posture_angular.is_some()) {
+        let sigma = |run: &Run| run.noise.posture_angular.unwrap_or(f64::NAN).to_degrees();
         let of = mean(&sigma);
         let spread = mean(&|run| (sigma(run) - of).powi(2)).sqrt();
-        print!(", sigma of joint deviations {of:.5} deg (standard deviation {spread:.5})");
+        print!(", sigma of joint errors {of:.5} deg (standard deviation {spread:.5})");
     }
     let left_out: usize = results.iter().map(|run| run.left_out).sum();
     println!("; postures left out in all runs: {left_out}\n");
@@ -213,8 +213,9 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
             let data = Correspondences { pairs, tracks: Vec::new(), ..data };
             calibrate_pairwise(&nominal, &data, &PairwiseOptions { free: scene.free.clone(), ..Default::default() })
         }
-        Estimator::Bundle(deviations) => {
-            let options = BundleOptions { free: scene.free.clone(), deviations: *deviations, ..Default::default() };
+        Estimator::Bundle(posture_errors) => {
+            let options =
+                BundleOptions { free: scene.free.clone(), posture_errors: *posture_errors, ..Default::default() };
             calibrate_bundle(&nominal, &data, &options)
         }
     }
@@ -229,12 +230,12 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
     let unit = DMatrix::from_fn(parameters.len(), parameters.len(), |i, j| covariance[(i, j)] * scale[i] * scale[j]);
     let scaled = error.component_mul(&scale);
     let solved = unit.cholesky().expect("a covariance").solve(&scaled);
-    let left_out = |warning: &&Warning| matches!(warning, Warning::SuspectPosture { left_out: true, .. });
+    let left_out = |warning: &&Warning| matches!(warning, Warning::OutlierPosture { excluded: true, .. });
     let left_out = result.warnings.iter().filter(left_out).count();
     Run { nees: scaled.dot(&solved), error, noise: result.noise, left_out }
 }
 
-/// Sigmas of the bound: information of all sights with points (and joint deviations under their prior) eliminated.
+/// Sigmas of the bound: information of all sights with points (and joint errors under their prior) eliminated.
 fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
     let count = parameters.len();
     let model = Model::new(scene.truth.clone());

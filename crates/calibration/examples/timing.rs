@@ -150,12 +150,12 @@ fn bundle() {
     let options = BundleOptions {
         free: Free::List(parameters),
         priors: PriorPolicy::Always,
-        deviations: DeviationPolicy::Off,
+        posture_errors: PostureErrorPolicy::Off,
         ..Default::default()
     };
     for (name, options) in [
-        ("no joint deviations", options.clone()),
-        ("joint deviations estimated", BundleOptions { deviations: DeviationPolicy::Estimated, ..options }),
+        ("no joint errors", options.clone()),
+        ("joint errors estimated", BundleOptions { posture_errors: PostureErrorPolicy::Estimated, ..options }),
     ] {
         let (start, cpu) = (Instant::now(), cpu_seconds());
         let result = calibrate_bundle(&hp3j(), &data, &options).expect("a calibration");

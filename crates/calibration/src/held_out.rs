@@ -427,9 +427,11 @@ fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64>
 mod tests {
     use super::*;
     use crate::synthetic::{
-        diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
+        Sensing, diverse_postures, fresh_pairs, half_pixel, hp3j, joints, manufacture, normal, perturbed, record, room,
+        seeded,
     };
     use crate::{BundleOptions, Free, MountComponent, Parameter, PostureErrorPolicy, calibrate_bundle};
+    use rand::RngExt;
 
     fn estimate(nominal: &Rig, free: Free, data: &Correspondences) -> Result<Calibration, CalibrationError> {
         calibrate_bundle(
@@ -479,7 +481,97 @@ mod tests {
         let models = Rigs { nominal: &nominal_model, mount_only: None, calibrated: &truth_model };
         let comparison = compare_models(models, &pairs, &groups[1], 0.5).unwrap();
         assert_eq!(comparison.reprojection.calibrated.observations, 0);
-        let fold = Fold { held_out: groups[1].clone(), comparison };
+        let fold = Fold { held_out: groups[1].clone(), comparison, offsets: Vec::new() };
         assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");
+    }
+
+    fn standing(values: &[[f64; 6]]) -> Vec<Posture> {
+        values.iter().enumerate().map(|(at, values)| joints(at, values)).collect()
+    }
+
+    #[test]
+    fn positions_are_told_by_the_joints_before_the_wrist() {
+        let at = |arm: f64, wrist: f64| [arm, 0.2, -0.3, wrist, -wrist, 1.0];
+        // The second position is visited twice; a tenth of a degree is the same place, a degree is not.
+        let postures =
+            standing(&[at(0.0, 0.1), at(0.5, 0.2), at(0.002, 0.9), at(0.51, 0.1), at(0.5175, 0.3), at(0.5, 2.0)]);
+        assert_eq!(arm_positions(&postures), [0, 1, 0, 2, 2, 1]);
+        let flange = PostureState::FlangePose(skclam_geometry::Isometry3::identity());
+        let poses = [0, 1, 2].map(|at| Posture::new(at, flange.clone()));
+        assert_eq!(arm_positions(&poses), [0, 1, 2]);
+    }
+
+    #[test]
+    fn groups_hold_out_whole_positions() {
+        let of = |position: usize, wrist: usize| [0.3 * position as f64, 0.0, 0.0, 0.1 * wrist as f64, 0.0, 0.0];
+        let postures = standing(&(0..24).map(|at| of(at / 4, at % 4)).collect::<Vec<_>>());
+        assert_eq!(held_out_groups(&postures, 6), neighbouring_folds(24, 6));
+        assert_eq!(held_out_groups(&postures, 3), neighbouring_folds(24, 3));
+        assert_eq!(held_out_groups(&postures, 99).len(), 6, "no more groups than positions");
+        // Positions taken in turn are held out together all the same, each posture once.
+        let mixed = standing(&(0..24).map(|at| of(at % 6, at / 6)).collect::<Vec<_>>());
+        let groups = held_out_groups(&mixed, 3);
+        let positions = arm_positions(&mixed);
+        let mut all = groups.concat();
+        all.sort_unstable();
+        assert_eq!(all, (0..24).collect::<Vec<_>>());
+        for position in 0..6 {
+            let holding = groups.iter().filter(|group| group.iter().any(|&posture| positions[posture] == position));
+            assert_eq!(holding.count(), 1, "{groups:?}");
+        }
+        // One position alone: neighbours.
+        let one = standing(&(0..8).map(|at| of(0, at)).collect::<Vec<_>>());
+        assert_eq!(held_out_groups(&one, 4), neighbouring_folds(8, 4));
+    }
+
+    /// Mean over some recordings of the squared ratio of what the folds' fits scatter to what is claimed, and the mean factor of the variance. Six positions of four postures;
+    /// `shared`: sigma of what the three joints before the wrist are off at a whole position, `own`: of every joint in every posture, rad.
+    fn jackknifed(shared: f64, own: f64, seeds: std::ops::Range<u64>) -> [f64; 2] {
+        let runs = seeds.end - seeds.start;
+        let one = |seed: u64| {
+            let mut rng = seeded(seed);
+            let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
+            let arms = diverse_postures(&hp3j(), 6, &mut rng);
+            let values = |posture: &Posture| match &posture.state {
+                PostureState::Joints(values) => values.clone(),
+                PostureState::FlangePose(_) => unreachable!("diverse postures are joints"),
+            };
+            let told: Vec<Vec<f64>> = (0..24)
+                .map(|at| {
+                    let mut own = values(&arms[at / 4]);
+                    own[3..].iter_mut().for_each(|value| *value += rng.random_range(-1.2..1.2));
+                    own
+                })
+                .collect();
+            let off: Vec<[f64; 3]> = (0..6).map(|_| std::array::from_fn(|_| shared * normal(&mut rng))).collect();
+            let stands = |at: usize, rng: &mut rand_chacha::ChaCha8Rng| {
+                let shift = |k: usize| off[at / 4].get(k).copied().unwrap_or_default();
+                let moved: Vec<f64> =
+                    told[at].iter().enumerate().map(|(k, q)| q + shift(k) + own * normal(rng)).collect();
+                joints(at, &moved)
+            };
+            let stand: Vec<Posture> = (0..24).map(|at| stands(at, &mut rng)).collect();
+            let sensing = Sensing { depth_relative: Some(0.003), keypoints: 80, ..half_pixel() };
+            let mut data = record(&truth, &stand, &room(900, &mut rng), sensing, &mut rng);
+            data.postures = told.iter().enumerate().map(|(at, values)| joints(at, values)).collect();
+            let fit = |data: &Correspondences| calibrate_bundle(&hp3j(), data, &BundleOptions::default());
+            let groups = held_out_groups(&data.postures, 6);
+            assert_eq!(groups, neighbouring_folds(24, 6));
+            let folds = cross_validate(&hp3j(), &data, &groups, &fit, None, &|| {}).unwrap().folds;
+            let found = jackknife(&hp3j(), &fit(&data).unwrap(), &folds, &data.postures).unwrap().unwrap();
+            assert!((found.variance_factor > 1.0) == (found.scattered_m > found.claimed_m), "{found:?}");
+            println!("shared {shared}, seed {seed}: {found:?}");
+            [(found.scattered_m / found.claimed_m).powi(2), found.variance_factor]
+        };
+        let sum = seeds.map(one).fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+        sum.map(|sum| sum / runs as f64)
+    }
+
+    #[test]
+    fn folds_scatter_as_claimed_where_errors_are_independent_and_more_where_positions_share_them() {
+        let [ratio, _] = jackknifed(0.0, 5e-5, 0..4);
+        assert!((0.4..1.8).contains(&ratio), "{ratio}");
+        let [shared, factor] = jackknifed(6e-4, 5e-5, 0..3);
+        assert!(shared > 2.0 * ratio && factor > 1.5, "{shared} {factor} beside {ratio}");
     }
 }

@@ -161,7 +161,7 @@ mod tests {
         let mut model = Model::new(hp3j());
         let nominal = skclam_geometry::DepthCamera { offset_m: 2e-3, ..model.rig.depth.unwrap() };
         model.rig.depth = Some(nominal);
-        model.depth = DepthCorrection { scale: 1.01, offset_m: -5e-3 };
+        model.depth = DepthCorrection { scale: 1.01, offset_m: -5e-3, ..Default::default() };
         let corrected = model.corrected_rig().depth.unwrap();
         let measured = |camera: &skclam_geometry::DepthCamera| camera.offset_m + 700.0 * camera.unit_m;
         assert!((measured(&corrected) - (-5e-3 + 1.01 * measured(&nominal))).abs() < 1e-12);

@@ -249,4 +249,47 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn columns_of_a_flange_poses_error_agree_with_differences() {
+        let nominal = hp3j();
+        let mut rng = seeded(2);
+        let postures: Vec<Posture> = diverse_postures(&nominal, 4, &mut rng)
+            .into_iter()
+            .map(|posture| {
+                let pose = nominal.base_from_flange(&posture).unwrap();
+                Posture { state: PostureState::FlangePose(pose), ..posture }
+            })
+            .collect();
+        let motion = Motion::new(&nominal, &postures).unwrap();
+        assert_eq!((motion.error_components(), motion.has_joints()), (6, false));
+        let model = Model::new(nominal);
+        let step = 1e-6;
+        // About an error that is not zero they are right to first order.
+        let errors = [([0.0; 6], 1e-7), ([2e-3, -1e-3, 1e-3, 1e-3, 2e-3, -1e-3], 4e-3)];
+        for (posture, (error, tolerance)) in (0..postures.len()).flat_map(|p| errors.map(|e| (p, e))) {
+            let linear = motion.linearize(&model, &[], posture, &error).unwrap();
+            let exact = motion.pose(&model, posture, &error).unwrap();
+            assert!((linear.base_from_camera.to_homogeneous() - exact.to_homogeneous()).amax() < 1e-14);
+            for component in 0..6 {
+                let at = |change: f64| {
+                    let mut moved = error;
+                    moved[component] += change;
+                    motion.pose(&model, posture, &moved).unwrap()
+                };
+                let expected = difference(&at(-step), &at(0.0), &at(step), step);
+                let off = (linear.by_joint[component] - expected).norm();
+                assert!(off < tolerance, "component {component} in posture {posture}: {off}");
+            }
+        }
+    }
+
+    #[test]
+    fn postures_of_two_kinds_have_no_errors_of_their_own() {
+        let nominal = hp3j();
+        let mut postures = diverse_postures(&nominal, 3, &mut seeded(3));
+        assert_eq!(Motion::new(&nominal, &postures).unwrap().error_components(), 6);
+        postures[1].state = PostureState::FlangePose(Isometry3::identity());
+        assert_eq!(Motion::new(&nominal, &postures).unwrap().error_components(), 0);
+    }
 }

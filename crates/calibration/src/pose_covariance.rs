@@ -221,4 +221,35 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_rigid_motion_of_the_base_changes_no_aligned_position() {
+        let mut rng = seeded(32);
+        let nominal = hp3j();
+        let postures = diverse_postures(&nominal, 20, &mut rng);
+        let data = record(&nominal, &postures, &room(400, &mut rng), half_pixel(), &mut rng);
+        // All of the arm; its base end is a rigid motion.
+        let options = BundleOptions {
+            free: Free::parse("alpha_1,a_1,theta_offset_1,d_1,theta_offset_3", &nominal).unwrap(),
+            posture_errors: PostureErrorPolicy::Off,
+            ..Default::default()
+        };
+        let mut calibration = calibrate_bundle(&nominal, &data, &options).unwrap();
+        let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
+        let set = |calibration: &mut Calibration, delta: [f64; 5]| {
+            calibration.model = Model::new(nominal.clone()).stepped(&parameters, &delta).unwrap();
+            let squares = DVector::from_iterator(5, delta.iter().map(|x| x * x));
+            calibration.covariance = Some(DMatrix::from_diagonal(&squares));
+            aligned_positions(&nominal, calibration, &postures).unwrap()
+        };
+        let base = set(&mut calibration, [1e-4, 1e-3, 2e-4, -1e-3, 0.0]);
+        // To first order: 0.1 mrad of a metre, squared.
+        assert!(base.change_m < 1e-7 && base.sigma_m.unwrap() < 1e-9, "{base:?}");
+        let elbow = set(&mut calibration, [0.0, 0.0, 0.0, 0.0, 1e-4]);
+        assert!(elbow.change_m > 5e-6, "{elbow:?}");
+        assert!((elbow.sigma_m.unwrap() / elbow.change_m - 1.0).abs() < 1e-2, "{elbow:?}");
+        let both = set(&mut calibration, [1e-4, 1e-3, 2e-4, -1e-3, 1e-4]);
+        assert!((both.change_m / elbow.change_m - 1.0).abs() < 1e-2, "{both:?} {elbow:?}");
+        assert_eq!(both.ruler_sigma_m, None);
+    }
 }

@@ -247,7 +247,7 @@ fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
 mod tests {
     use super::*;
     use crate::Free;
-    use crate::synthetic::{Errors, hp3j, perturbed, seeded};
+    use crate::synthetic::{Errors, hp3j, normal, perturbed, seeded};
 
     #[test]
     fn the_gradient_of_the_priors_agrees_with_differences() {
@@ -280,5 +280,25 @@ mod tests {
         assert_eq!(of(&rig, &Free::Angles, PriorPolicy::Auto), None);
         assert_eq!(of(&rig, &Free::Auto, PriorPolicy::Auto), Some(PriorGroup::Angles.median()));
         assert_eq!(of(&rig, &Free::Auto, PriorPolicy::Never), None);
+    }
+
+    #[test]
+    fn a_known_sigma_is_recovered_and_silence_leaves_the_median() {
+        let mut rng = seeded(3);
+        for truth in [1e-4, 3e-3] {
+            let squares: f64 = (0..4000).map(|_| (truth * normal(&mut rng)).powi(2)).sum();
+            let found = likeliest_sigma(squares, 4000.0, 1e-3);
+            assert!((found / truth - 1.0).abs() < 0.04, "{found} for {truth}");
+        }
+        assert!((likeliest_sigma(0.0, 0.0, 2e-3) / 2e-3 - 1.0).abs() < 1e-9);
+        // Few numbers: the greatest density of the sigma's logarithm, searched for.
+        let (squares, median) = (2e-5, 1e-3f64);
+        let cost = |log: f64| {
+            3.0 * log + 0.5 * squares * (-2.0 * log).exp() + 0.5 * ((log - median.ln()) / LOG_SPREAD).powi(2)
+        };
+        let grid = (0..20_000).map(|k| median.ln() - 5.0 + 5e-4 * f64::from(k));
+        let best = grid.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap().exp();
+        let found = likeliest_sigma(squares, 3.0, median);
+        assert!((found / best - 1.0).abs() < 1e-3, "{found} {best}");
     }
 }

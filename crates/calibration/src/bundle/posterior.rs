@@ -163,3 +163,103 @@ fn grid(priors: &Priors) -> Vec<(Option<f64>, Option<f64>)> {
     let lengths = nodes(PriorGroup::Lengths);
     nodes(PriorGroup::Angles).into_iter().flat_map(|a| lengths.iter().map(move |&l| (a, l))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::hp3j;
+    use crate::{Free, MountComponent, PriorPolicy};
+    use nalgebra::{Matrix2, Vector2};
+
+    /// An angle of the arm, whose sigma is not known, and one of the mount, whose is.
+    fn priors() -> Priors {
+        let angle = Free::Angles.candidates(&hp3j(), true, false).unwrap()[0];
+        let parameters = [angle, Parameter::Mount(MountComponent::RotationX)];
+        let mut rig = hp3j();
+        rig.prior.mount_rotation_deg = Some(0.2);
+        let priors = Priors::new(&rig, &Free::Auto, PriorPolicy::Auto, &parameters);
+        assert_eq!(priors.members(PriorGroup::Angles), [0]);
+        priors
+    }
+
+    /// Second moments about `center` of two parameters and the logarithm of the sigma of the first, summed over a fine grid.
+    fn integrated(normal: &Matrix2<f64>, mode: &Vector2<f64>, known: f64, center: &Vector2<f64>) -> Matrix2<f64> {
+        let median = PriorGroup::Angles.median();
+        let reach = 12.0 * median;
+        let (mut total, mut moments) = (0.0, Matrix2::zeros());
+        for log in (0..160).map(|k| -4.0 * LOG_SPREAD + 8.0 * LOG_SPREAD * (f64::from(k) + 0.5) / 160.0) {
+            let sigma = median * log.exp();
+            let own = (-0.5 * (log / LOG_SPREAD).powi(2)).exp() / sigma;
+            for (i, j) in (0..240).flat_map(|i| (0..240).map(move |j| (i, j))) {
+                // Finer about nothing, where the prior of a small sigma peaks.
+                let t = [i, j].map(|k: i32| 2.0 * (f64::from(k) + 0.5) / 240.0 - 1.0);
+                let x = Vector2::new(reach * t[0].powi(3), reach * t[1]);
+                let jacobian = 3.0 * t[0] * t[0];
+                let off = x - mode;
+                let exponent = (off.transpose() * normal * off)[0] + (x.x / sigma).powi(2) + (x.y / known).powi(2);
+                let density = own * jacobian * (-0.5 * exponent).exp();
+                total += density;
+                moments += (x - center) * (x - center).transpose() * density;
+            }
+        }
+        moments / total
+    }
+
+    #[test]
+    fn the_mixture_has_the_moments_of_the_integral() {
+        let priors = priors();
+        let median = PriorGroup::Angles.median();
+        let known = priors.sigmas[1].unwrap();
+        for (sigma, mode) in [([1.0, 0.8], [2.0, -1.0]), ([3.0, 2.0], [1.0, 1.0]), ([0.4, 1.5], [0.3, 0.0])] {
+            let roots = Vector2::new(1.0 / (sigma[0] * median), 1.0 / (sigma[1] * median));
+            let normal =
+                Matrix2::new(roots.x * roots.x, 0.7 * roots.x * roots.y, 0.7 * roots.x * roots.y, roots.y * roots.y);
+            let mode = Vector2::from(mode) * median;
+            let offsets = (normal + Matrix2::from_diagonal(&Vector2::new(median.powi(-2), known.powi(-2))))
+                .try_inverse()
+                .unwrap()
+                * (normal * mode);
+            let dynamic = |m: &Matrix2<f64>| DMatrix::from_fn(2, 2, |i, j| m[(i, j)]);
+            let vector = |v: Vector2<f64>| DVector::from_column_slice(v.as_slice());
+            let likelihood = Likelihood {
+                normal: dynamic(&normal),
+                gradient: vector(normal * (mode - offsets)),
+                offsets: vector(offsets),
+            };
+            let prior_normal = DMatrix::from_diagonal(&DVector::from_vec(vec![median.powi(-2), known.powi(-2)]));
+            let found = posterior(&likelihood, &prior_normal, &priors, None, false).unwrap().covariance;
+            let expected = integrated(&normal, &mode, known, &offsets);
+            let unit = median * median;
+            for (i, j) in [(0, 0), (0, 1), (1, 1)] {
+                let size = (expected[(i, i)] * expected[(j, j)]).sqrt();
+                let error = (found[(i, j)] - expected[(i, j)]).abs() / size;
+                assert!(error < 0.03, "({i}, {j}): {} {}", found[(i, j)] / unit, expected[(i, j)] / unit);
+            }
+        }
+    }
+
+    #[test]
+    fn a_held_standard_of_length_adds_how_far_it_is_from_its_mean() {
+        let priors = Priors::none(2);
+        let prior_normal = DMatrix::from_diagonal(&DVector::from_vec(vec![0.0, 4.0]));
+        let normal = DMatrix::from_row_slice(2, 2, &[3.0, 1.0, 1.0, 2.0]);
+        // Held at zero, where the data would have it at (0.7, 0.5).
+        let mode = DVector::from_vec(vec![0.7, 0.5]);
+        let right = &normal * &mode;
+        let offsets = DVector::from_vec(vec![right[0] / normal[(0, 0)], 0.0]);
+        let gradient = &right - &normal * &offsets;
+        let likelihood = Likelihood { normal: normal.clone(), gradient, offsets: offsets.clone() };
+        let found = posterior(&likelihood, &prior_normal, &priors, Some(1), true).unwrap();
+        let precision = &normal + &prior_normal;
+        let own = precision.clone().try_inverse().unwrap();
+        let mean = &own * &right;
+        let ruler = found.ruler.unwrap();
+        assert!((ruler.mean - mean[1]).abs() < 1e-9 && (ruler.sigma - own[(1, 1)].sqrt()).abs() < 1e-9);
+        assert!((ruler.away_squared - mean[1] * mean[1]).abs() < 1e-9);
+        let away = &mean - &offsets;
+        assert!((&found.covariance - (&own + &away * away.transpose())).amax() < 1e-9);
+        // Without it: the first parameter with the second known.
+        let rest = &found.covariance - &ruler.covariance;
+        assert!((rest[(0, 0)] - 1.0 / normal[(0, 0)]).abs() < 1e-9 && rest[(1, 1)].abs() < 1e-9, "{rest}");
+    }
+}

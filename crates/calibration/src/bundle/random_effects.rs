@@ -198,3 +198,71 @@ pub(super) fn likeliest_groups(normal: &DMatrix<f64>, offsets: &DVector<f64>, pr
     }
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::prior::LOG_SPREAD;
+    use crate::synthetic::{hp3j, normal, seeded};
+    use crate::{Free, Parameter, PriorPolicy};
+
+    fn arm() -> (Vec<Parameter>, Priors) {
+        let parameters: Vec<Parameter> =
+            Free::Auto.candidates(&hp3j(), true, false).unwrap().into_iter().filter(|p| p.needs_joints()).collect();
+        let priors = Priors::new(&hp3j(), &Free::Auto, PriorPolicy::Auto, &parameters);
+        (parameters, priors)
+    }
+
+    /// Independent measurements of the parameters with sigmas of `noise` times the group's median, of truths that are `size` times it.
+    fn measured(priors: &Priors, noise: f64, size: f64, seed: u64) -> (DVector<f64>, DVector<f64>) {
+        let mut rng = seeded(seed);
+        let count = priors.sigmas.len();
+        let median = DVector::from_fn(count, |k, _| priors.sigmas[k].unwrap());
+        let sigma = &median * noise;
+        let value = DVector::from_fn(count, |k, _| size * median[k] * normal(&mut rng) + sigma[k] * normal(&mut rng));
+        (sigma, value)
+    }
+
+    fn found(priors: &Priors, sigma: &DVector<f64>, value: &DVector<f64>) -> Priors {
+        let normal = DMatrix::from_diagonal(&sigma.map(|s| s.powi(-2)));
+        // The optimum under the priors from which the search begins.
+        let shrunk = |k: usize| value[k] / (1.0 + (sigma[k] / priors.sigmas[k].unwrap()).powi(2));
+        likeliest_groups(&normal, &DVector::from_fn(value.len(), |k, _| shrunk(k)), priors)
+    }
+
+    #[test]
+    fn the_sigmas_of_the_groups_have_the_greatest_marginal_likelihood() {
+        let (_, priors) = arm();
+        for (noise, size, seed) in [(0.3, 3.0, 1), (1.0, 0.5, 2), (0.01, 0.1, 3)] {
+            let (sigma, value) = measured(&priors, noise, size, seed);
+            let found = found(&priors, &sigma, &value);
+            for group in PriorGroup::ALL {
+                let members = priors.members(group);
+                assert!(members.len() > 5);
+                // Measurements are normal about zero with both variances together.
+                let cost = |log: f64| {
+                    let own = |&k: &usize| {
+                        let variance = sigma[k].powi(2) + (2.0 * log).exp();
+                        0.5 * variance.ln() + 0.5 * value[k].powi(2) / variance
+                    };
+                    members.iter().map(own).sum::<f64>() + 0.5 * ((log - group.median().ln()) / LOG_SPREAD).powi(2)
+                };
+                let grid = (0..16_000).map(|k| group.median().ln() - 8.0 + 1e-3 * f64::from(k));
+                let best = grid.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap().exp();
+                let sigma = found.group_sigma(group).unwrap();
+                assert!((sigma / best - 1.0).abs() < 0.01, "{group:?}: {sigma} {best}");
+            }
+        }
+    }
+
+    #[test]
+    fn silent_data_leave_the_groups_at_their_medians() {
+        let (_, priors) = arm();
+        let (sigma, value) = measured(&priors, 1e3, 0.0, 4);
+        let found = found(&priors, &sigma, &value);
+        for group in PriorGroup::ALL {
+            let sigma = found.group_sigma(group).unwrap();
+            assert!((sigma / group.median() - 1.0).abs() < 0.01, "{group:?}: {sigma}");
+        }
+    }
+}

@@ -121,14 +121,20 @@ impl View<'_> {
     /// depth's scale. The mean of the reciprocal of a reading with normal noise, `1/z + s^2 z`, is allowed for.
     pub(crate) fn depth_residual(&self, sighting: &Sighting, in_camera: &Point3) -> (f64, f64) {
         let s = self.scales.depth;
-        let mut z = in_camera.z - self.depth.offset_m;
-        if self.depth.extrinsics != [0.0; 6] {
-            let by = depth_by_extrinsics(sighting, in_camera);
-            z -= by.iter().zip(&self.depth.extrinsics).map(|(by, value)| by * value).sum::<f64>();
-        }
+        let z = self.depth_before_scale(sighting, in_camera);
         let expected = (z / self.depth.scale).max(NEAREST_M);
         let measured = 1.0 / sighting.depth_m - s * s * sighting.depth_m;
         ((1.0 / expected - measured) / s, 1.0 / (expected * expected * self.depth.scale * s))
+    }
+
+    /// The depth that the sensor should have read, but for its scale: what its offset and its place beside the colour camera make of a point's depth.
+    fn depth_before_scale(&self, sighting: &Sighting, in_camera: &Point3) -> f64 {
+        let z = in_camera.z - self.depth.offset_m;
+        if self.depth.extrinsics == [0.0; 6] {
+            return z;
+        }
+        let by = depth_by_extrinsics(sighting, in_camera);
+        z - by.iter().zip(&self.depth.extrinsics).map(|(by, value)| by * value).sum::<f64>()
     }
 
     /// `None` behind the camera.
@@ -196,7 +202,7 @@ impl View<'_> {
             let weight = self.scales.loss.weight(residual);
             // The residual grows with the shared numbers where it falls with z.
             let by_offset = -slope;
-            let by_scale = -slope * (in_camera.z - self.depth.offset_m) / self.depth.scale;
+            let by_scale = -slope * self.depth_before_scale(sighting, &in_camera) / self.depth.scale;
             let mut rows = [(0, 0.0); 8];
             rows[..2].copy_from_slice(&[(DEPTH_OFFSET, by_offset), (DEPTH_SCALE, by_scale)]);
             let by_extrinsics = depth_by_extrinsics(sighting, &in_camera);
