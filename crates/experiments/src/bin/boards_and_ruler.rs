@@ -1,0 +1,66 @@
+//! What a run claims when the depth camera's scale is wrong: the shared virtual cell as it is, and with its depth scaled.
+//!
+//! `cargo run --release -p skclam-experiments --bin boards_and_ruler -- [DATASET] [--scales 1,1.005]`, by default `../shared/data/virtual-cell` (or the folder
+//! of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`. The depth images are scaled by the unit of their counts.
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use cpu_time::ProcessTime;
+use skclam::dataset::Dataset;
+use skclam::rig::Rig;
+use skclam_experiments::cells::Cell;
+use skclam_experiments::measured::{measure, run_default};
+use skclam_experiments::true_poses::TruePoses;
+use std::io::Write;
+use std::path::PathBuf;
+
+/// True and claimed camera error with a wrong ruler.
+#[derive(Parser)]
+struct Arguments {
+    /// A data set with its truth.
+    dataset: Option<PathBuf>,
+    /// Factors of the depth.
+    #[arg(long, value_delimiter = ',', default_value = "1,1.005,0.995,1.002")]
+    scales: Vec<f64>,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let shared = std::env::var_os("SKCLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
+    let folder = arguments.dataset.unwrap_or_else(|| shared.join("virtual-cell"));
+    let cell = Cell::open(&folder)?;
+    let truth = TruePoses::of_rig(&cell.truth, &cell.postures())?;
+    println!(
+        "| depth times | true mm | claimed mm (RMS) | true / claimed | first sentence mm | true deg | claimed deg | workspace true / claimed | scale error % | nominal mm \
+         | status | first sentence | CPU s |"
+    );
+    println!("|{}", " --- |".repeat(13));
+    for factor in arguments.scales {
+        let mut rig: Rig = cell.dataset.rig.clone();
+        rig.depth.as_mut().context("the data set has no depth")?.unit_m *= factor;
+        let dataset = Dataset { rig, ..cell.dataset.clone() };
+        let begun = ProcessTime::now();
+        let outcome = run_default(&dataset)?;
+        let measured = measure(&dataset.rig, &cell.truth, &truth, &outcome, begun.elapsed().as_secs_f64())?;
+        let recorded = measured.recorded.context("a run has an answer")?;
+        let claimed = recorded.claimed.context("least squares has a covariance")?;
+        let shown = &measured.shown;
+        println!(
+            "| {factor} | {:.4} | {:.4} | {:.2} | {} | {:.4} | {:.4} | {} | {} | {:.2} | {:?} | {} | {:.0} |",
+            recorded.truth.mm,
+            claimed.mm,
+            recorded.truth.mm / claimed.mm,
+            shown.sentence_sigma_mm.map_or("-".to_owned(), |sigma| format!("{sigma:.4}")),
+            recorded.truth.deg,
+            claimed.deg,
+            measured.workspace.and_then(|w| w.ratio()).map_or("-".to_owned(), |ratio| format!("{ratio:.2}")),
+            measured.scale_error_percent.map_or("-".to_owned(), |error| format!("{error:.4}")),
+            recorded.nominal.mm,
+            shown.status,
+            shown.sentence,
+            measured.seconds
+        );
+        std::io::stdout().flush()?;
+    }
+    Ok(())
+}
