@@ -28,14 +28,32 @@ pub enum Cause {
 
 /// Causes and the words by which a statement names them. Longer phrases stand first where one contains another.
 const WORDS: [(Cause, &[&str]); 18] = [
-    (Cause::FocalLength, &["focal"]),
-    (Cause::PrincipalPoint, &["principal point", "optical centre", "image centre"]),
-    (Cause::Distortion, &["distortion"]),
-    (Cause::DepthBias, &["depth bias", "depth offset", "depth error grows", "bias of the depth", "quadratic depth"]),
-    (Cause::DepthScale, &["depth scale", "scale of the depth", "depth camera's unit", "depth unit", "unit_mm"]),
+    (Cause::FocalLength, &["focal", "fx ", "fy "]),
+    (Cause::PrincipalPoint, &["principal point", "optical centre", "image centre", "cx ", "cy "]),
+    (Cause::Distortion, &["distortion", "k1 ", "k2 "]),
+    (
+        Cause::DepthBias,
+        &["depth bias", "depth offset", "depth error grows", "bias of the depth", "quadratic depth", "depth_offset"],
+    ),
+    (
+        Cause::DepthScale,
+        &["depth scale", "scale of the depth", "depth camera's unit", "depth unit", "unit_mm", "depth_scale"],
+    ),
     (
         Cause::Extrinsics,
-        &["extrinsic", "color_from_depth", "depth camera stands", "colour and depth", "depth to colour"],
+        &[
+            "extrinsic",
+            "color_from_depth",
+            "depth camera stands",
+            "colour and depth",
+            "depth to colour",
+            "depth_x ",
+            "depth_y ",
+            "depth_z ",
+            "depth_rx ",
+            "depth_ry ",
+            "depth_rz ",
+        ],
     ),
     (Cause::TimeOffset, &["time offset", "time_offset", "joints are late", "images are late", "clock"]),
     (Cause::Compliance, &["complian", "gives way", "give way", "sag"]),
@@ -128,6 +146,8 @@ mod tests {
         assert_eq!(found, [Cause::DepthScale, Cause::TimeOffset]);
         assert!(named_in("Are the intrinsics right? Is the focal length?").is_empty());
         assert!(named_in("a new design").is_empty());
+        assert_eq!(named_in("fx moved by +13.7 px, 5.0 times what is expected of it"), [Cause::FocalLength]);
+        assert_eq!(named_in("depth_rx moved by +1.000 deg"), [Cause::Extrinsics]);
         let all =
             ["check the depth camera's unit_mm".to_owned(), "focal length 1.01 explains it; depth scale".to_owned()];
         assert_eq!(named(&all), [Cause::DepthScale, Cause::FocalLength]);

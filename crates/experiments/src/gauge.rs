@@ -23,6 +23,8 @@ pub struct ParameterScore {
     pub sigma: f64,
     /// Whether the parameter by itself moves cameras in a way that no other does; z is counted for such alone.
     pub identifiable: bool,
+    /// Whether it moves the camera: a parameter of arm or mount.
+    pub moves_camera: bool,
 }
 
 impl ParameterScore {
@@ -32,15 +34,24 @@ impl ParameterScore {
     }
 }
 
+/// Normalised estimation error squared, and over how many combinations of parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Nees {
+    /// `e^T C^-1 e`; its mean is `degrees` where the covariance is right.
+    pub sum: f64,
+    /// Combinations.
+    pub degrees: usize,
+}
+
 /// The parameters of a calibration judged together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// One a free parameter.
     pub parameters: Vec<ParameterScore>,
-    /// Normalised estimation error squared over the identifiable combinations.
-    pub nees: f64,
-    /// Their number.
-    pub degrees: usize,
+    /// Over the combinations that move cameras, whatever the instruments are off.
+    pub camera: Nees,
+    /// The same and every other free parameter.
+    pub all: Nees,
 }
 
 /// Singular values below this part of the largest belong to combinations that move no camera. Parameters are in their natural scales, and
@@ -64,6 +75,9 @@ pub fn score(nominal: &Rig, truth: &Rig, calibration: &Calibration, truth_at: &T
     if let (Some(is), Some(was)) = (&truth.depth, &nominal.depth) {
         other_truth.depth.scale = is.unit_m / was.unit_m;
         other_truth.depth.offset_m = is.offset_m - other_truth.depth.scale * was.offset_m;
+        let off = is.color_from_depth * was.color_from_depth.inverse();
+        let (shift, turn) = (off.translation.vector, off.rotation.scaled_axis());
+        other_truth.depth.extrinsics = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
     }
     let scale = DVector::from_iterator(parameters.len(), parameters.iter().map(|parameter| parameter.scale()));
     let mut error = DVector::zeros(parameters.len());
@@ -97,9 +111,14 @@ pub fn score(nominal: &Rig, truth: &Rig, calibration: &Calibration, truth_at: &T
             error: error[k] * unit,
             sigma: scaled[(k, k)].max(0.0).sqrt() * unit,
             identifiable: 1.0 - basis.row(k).norm_squared() < UNSEEN_SHARE,
+            moves_camera: parameter.moves_camera(),
         }
     });
-    Ok(Score { parameters: scores.collect(), nees: quadratic(&reduced, &projected)?, degrees: projected.len() })
+    let nees = |count: usize| -> Result<Nees> {
+        let covariance = reduced.view((0, 0), (count, count)).into_owned();
+        Ok(Nees { sum: quadratic(&covariance, &projected.rows(0, count).into_owned())?, degrees: count })
+    };
+    Ok(Score { parameters: scores.collect(), camera: nees(seen.ncols())?, all: nees(projected.len())? })
 }
 
 /// `x^T C^-1 x`, with `C` brought to a unit diagonal first.
