@@ -1,22 +1,22 @@
 //! What a run claims when the depth camera's scale is wrong: the shared virtual cell as it is, and with its depth scaled.
 //!
-//! `cargo run --release -p skclam-experiments --bin boards_and_ruler -- [DATASET] [--scales 1,1.005]`, by default `../shared/data/virtual-cell` (or the folder
+//! `cargo run --release -p skclam-experiments -- boards-and-ruler [DATASET] [--scales 1,1.005]`, by default `../shared/data/virtual-cell` (or the folder
 //! of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`. The depth images are scaled by the unit of their counts.
 
+use crate::cells::Cell;
+use crate::measured::{measure, run_default};
+use crate::true_poses::TruePoses;
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use cpu_time::ProcessTime;
 use skclam::dataset::Dataset;
 use skclam::rig::Rig;
-use skclam_experiments::cells::Cell;
-use skclam_experiments::measured::{measure, run_default};
-use skclam_experiments::true_poses::TruePoses;
 use std::io::Write;
 use std::path::PathBuf;
 
 /// True and claimed camera error with a wrong ruler.
-#[derive(Parser)]
-struct Arguments {
+#[derive(Args)]
+pub struct Arguments {
     /// A data set with its truth.
     dataset: Option<PathBuf>,
     /// Factors of the depth.
@@ -24,10 +24,13 @@ struct Arguments {
     scales: Vec<f64>,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
+/// Prints the tables.
+///
+/// # Errors
+/// Data that cannot be read; a single run that fails is a row.
+pub fn run(arguments: &Arguments) -> Result<()> {
     let shared = std::env::var_os("SKCLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
-    let folder = arguments.dataset.unwrap_or_else(|| shared.join("virtual-cell"));
+    let folder = arguments.dataset.clone().unwrap_or_else(|| shared.join("virtual-cell"));
     let cell = Cell::open(&folder)?;
     let truth = TruePoses::of_rig(&cell.truth, &cell.postures())?;
     println!(
@@ -35,7 +38,7 @@ fn main() -> Result<()> {
          | status | first sentence | CPU s |"
     );
     println!("|{}", " --- |".repeat(13));
-    for factor in arguments.scales {
+    for &factor in &arguments.scales {
         let mut rig: Rig = cell.dataset.rig.clone();
         rig.depth.as_mut().context("the data set has no depth")?.unit_m *= factor;
         let dataset = Dataset { rig, ..cell.dataset.clone() };

@@ -1,26 +1,26 @@
 //! Whether sigmas hold on random virtual cells with images, the whole pipeline between.
 //!
-//! `cargo run --release -p skclam-experiments --bin whole_pipeline -- [--cells N]`. Scene, arm, mount, postures, noise and image size are drawn from each
+//! `cargo run --release -p skclam-experiments -- whole-pipeline [--cells N]`. Scene, arm, mount, postures, noise and image size are drawn from each
 //! cell's seed; cells are kept under `--work`. NEES is taken over the combinations of free parameters that move cameras, with the run's covariance, after the
 //! base's gauge; "camera" is over the recorded postures.
 
+use crate::cells::{Cell, CellOptions};
+use crate::gauge::{Nees, ParameterScore, Score};
+use crate::measured::{Measured, measure, parameters};
+use crate::statistics::{chi_squared_band, mean, median, rms, sd};
+use crate::true_poses::TruePoses;
 use anyhow::Result;
-use clap::Parser;
+use clap::Args;
 use cpu_time::ProcessTime;
 use skclam::inspection::{InspectionOptions, inspect};
 use skclam::pipeline::{Config, run_without_map};
 use skclam::progress::Silent;
-use skclam_experiments::cells::{Cell, CellOptions};
-use skclam_experiments::gauge::{Nees, ParameterScore, Score};
-use skclam_experiments::measured::{Measured, measure, parameters};
-use skclam_experiments::statistics::{chi_squared_band, mean, median, rms, sd};
-use skclam_experiments::true_poses::TruePoses;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// NEES, coverage and camera error over claim on random cells.
-#[derive(Parser)]
-struct Arguments {
+#[derive(Args)]
+pub struct Arguments {
     /// How many cells.
     #[arg(long, default_value_t = 24)]
     cells: u64,
@@ -54,8 +54,11 @@ struct Judged {
     predicted_mm: Option<f64>,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
+/// Prints the tables.
+///
+/// # Errors
+/// Data that cannot be read; a single run that fails is a row.
+pub fn run(arguments: &Arguments) -> Result<()> {
     let config = match &arguments.config {
         None => Config::default(),
         Some(path) => Config::default().overlaid(&std::fs::read_to_string(path)?)?,
@@ -66,7 +69,7 @@ fn main() -> Result<()> {
     );
     println!("|{}", " --- |".repeat(16));
     let mut all = Vec::new();
-    for (name, cell) in cells(&arguments) {
+    for (name, cell) in cells(arguments) {
         match cell.and_then(|cell| Ok((judged(&cell, &config)?, cell.dataset.rig.color.width))) {
             Ok((judged, width)) => {
                 print_row(&name, width, &judged);

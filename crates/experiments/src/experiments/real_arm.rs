@@ -1,24 +1,24 @@
 //! A real arm judged by an optical tracker, and by a second day.
 //!
-//! `cargo run --release -p skclam-experiments --bin real_arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in `../shared/data` (or in `SKCLAM_DATA`).
+//! `cargo run --release -p skclam-experiments -- real-arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in `../shared/data` (or in `SKCLAM_DATA`).
 //! The tracker's points are those of `nachi-mz25/tracker.csv` for both days: it is one arm.
 
+use crate::measured::{claimed, shown};
+use crate::two_days::disagreement;
 use anyhow::Result;
-use clap::Parser;
+use clap::Args;
 use cpu_time::ProcessTime;
-use skclam::calibration::Free;
 use skclam::dataset::Dataset;
-use skclam::pipeline::{Config, Outcome, run};
+use skclam::marker_points::{MarkerPoints, validate_points};
+use skclam::pipeline::{self, Config, Outcome};
 use skclam::progress::Silent;
-use skclam_experiments::measured::{claimed, shown};
-use skclam_experiments::tracker;
-use skclam_experiments::two_days::disagreement;
+use skclam::rig::{Posture, PostureState};
 use std::io::Write;
 use std::path::PathBuf;
 
 /// RMS against the tracker beside claims, for both days.
-#[derive(Parser)]
-struct Arguments {
+#[derive(Args)]
+pub struct Arguments {
     /// Data sets of one arm; the first brings `tracker.csv`.
     #[arg(default_values = ["nachi-mz25", "nachi-mz25-second-day"])]
     datasets: Vec<String>,
@@ -27,17 +27,22 @@ struct Arguments {
     config: Option<PathBuf>,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
+/// Prints the tables.
+///
+/// # Errors
+/// Data that cannot be read; a single run that fails is a row.
+pub fn run(arguments: &Arguments) -> Result<()> {
     let config = match &arguments.config {
         None => Config::default(),
         Some(path) => Config::default().overlaid(&std::fs::read_to_string(path)?)?,
     };
     let shared = std::env::var_os("SKCLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let folders: Vec<PathBuf> = arguments.datasets.iter().map(|name| shared.join(name)).collect();
-    let points = tracker::read(&folders[0].join("tracker.csv"))?;
+    let points = MarkerPoints::read(folders[0].join("tracker.csv"))?;
+    let stood = |(at, joints): (usize, &Vec<f64>)| Posture::new(at as u64, PostureState::Joints(joints.clone()));
+    let postures: Vec<Posture> = points.points.iter().map(|point| &point.joints).enumerate().map(stood).collect();
     println!(
-        "| recording | tracker RMS mm: nominal | mount alone | calibrated | first sentence mm | claimed at the tracker's points mm \
+        "| recording | tracker RMS mm: nominal | calibrated | first sentence mm | calibrated / first sentence | claimed at the tracker's points mm \
          | held-out px: nominal | mount alone | calibrated | status | CPU s |"
     );
     println!("|{}", " --- |".repeat(11));
@@ -45,24 +50,20 @@ fn main() -> Result<()> {
     for folder in &folders {
         let dataset = Dataset::open(folder)?;
         let begun = ProcessTime::now();
-        let outcome = run(&dataset, &config, &Silent)?;
+        let outcome = pipeline::run(&dataset, &config, &Silent)?;
         let seconds = begun.elapsed().as_secs_f64();
-        let mount = Config { free: Free::parse("mount", &dataset.rig)?, ..config.clone() };
-        let mount = skclam::pipeline::run_without_map(&dataset, &mount, &Silent)?;
         let shown = shown(&serde_json::to_value(&outcome.summary)?)?;
-        let rms = [&dataset.rig, &mount.rig, &outcome.rig].map(|rig| tracker::rms_mm(rig, &points));
-        let [nominal, mount_alone, calibrated] = rms;
-        let postures: Vec<_> = points.iter().map(|point| point.posture.clone()).collect();
+        let validation = validate_points(&points, &outcome.rig, Some(&dataset.rig))?;
+        let (calibrated, nominal) = (validation.tested.rms_mm, validation.nominal.map(|nominal| nominal.rms_mm));
         let at_points = claimed(&dataset.rig, &outcome, &postures)?.map(|claimed| claimed.mm);
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));
         let held_out = shown.held_out.unwrap_or_default().map(number).join(" | ");
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         println!(
-            "| {name} | {:.3} | {:.3} | {:.3} | {} | {} | {held_out} | {:?} | {seconds:.0} |",
-            nominal?,
-            mount_alone?,
-            calibrated?,
+            "| {name} | {} | {calibrated:.3} | {} | {} | {} | {held_out} | {:?} | {seconds:.0} |",
+            number(nominal),
             number(shown.sentence_sigma_mm),
+            number(shown.sentence_sigma_mm.map(|sigma| calibrated / sigma)),
             number(at_points),
             shown.status
         );

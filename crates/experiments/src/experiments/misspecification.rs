@@ -1,23 +1,23 @@
 //! What a run claims and which cause it names when one assumption is wrong, row by row.
 //!
-//! `cargo run --release -p skclam-experiments --bin misspecification -- [--seed N] [--scale F] [--only ROW]`. The cell is rendered once and kept under
+//! `cargo run --release -p skclam-experiments -- misspecification [--seed N] [--scale F] [--only ROW]`. The cell is rendered once and kept under
 //! `--work`; each row's data set stays there, for `skclam run` by hand.
 
+use crate::cells::{Cell, CellOptions};
+use crate::limited::run_again;
+use crate::measured::{Measured, measure, refused, run_default};
+use crate::rows::{RENDERED_POSTURES, Row, all};
+use crate::verdict_rules::{Verdict, judge};
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use cpu_time::ProcessTime;
-use skclam_experiments::cells::{Cell, CellOptions};
-use skclam_experiments::limited::run_again;
-use skclam_experiments::measured::{Measured, measure, refused, run_default};
-use skclam_experiments::rows::{RENDERED_POSTURES, Row, all};
-use skclam_experiments::verdict_rules::{Verdict, judge};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Wrong assumptions: true and claimed error, status, named cause.
-#[derive(Parser)]
-struct Arguments {
+#[derive(Args)]
+pub struct Arguments {
     /// Seed of the cell; several are run one after another.
     #[arg(long, default_value = "7", value_delimiter = ',')]
     seed: Vec<u64>,
@@ -44,13 +44,16 @@ struct Arguments {
     row: Option<String>,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
+/// Prints the tables.
+///
+/// # Errors
+/// Data that cannot be read; a single run that fails is a row.
+pub fn run(arguments: &Arguments) -> Result<()> {
     let rows = all();
     if let Some(name) = &arguments.row {
         let row = rows.iter().find(|row| row.name == name).context("no such row")?;
         let seed = *arguments.seed.first().context("no seed")?;
-        println!("{}", serde_json::to_string(&measure_row(&arguments, seed, row)?)?);
+        println!("{}", serde_json::to_string(&measure_row(arguments, seed, row)?)?);
         return Ok(());
     }
     let chosen = |row: &&Row| arguments.only.as_ref().is_none_or(|only| row.name.contains(only.as_str()));
@@ -61,10 +64,10 @@ fn main() -> Result<()> {
     let mut verdicts = Vec::new();
     for &seed in &arguments.seed {
         // Rendered here, so that no row's time limit pays for it.
-        cell(&arguments, seed)?;
+        cell(arguments, seed)?;
         for row in rows.iter().filter(chosen) {
             let measured =
-                match run_again::<Measured>(&again(&arguments, seed, row), Duration::from_secs(arguments.limit_s)) {
+                match run_again::<Measured>(&again(arguments, seed, row), Duration::from_secs(arguments.limit_s)) {
                     Ok(measured) => measured,
                     Err(error) => {
                         println!("| {seed} | {} | - | - | - | - | - | no result: {error:#} | | | FAILED | |", row.name);
@@ -99,7 +102,8 @@ fn again(arguments: &Arguments, seed: u64, row: &Row) -> Vec<String> {
         ("--work", work),
         ("--row", row.name.to_owned()),
     ];
-    pairs.into_iter().flat_map(|(key, value)| [key.to_owned(), value]).collect()
+    let options = pairs.into_iter().flat_map(|(key, value)| [key.to_owned(), value]);
+    std::iter::once("misspecification".to_owned()).chain(options).collect()
 }
 
 fn measure_row(arguments: &Arguments, seed: u64, row: &Row) -> Result<Measured> {

@@ -1,11 +1,14 @@
 //! Flange poses of a controller whose arm is wrong: is the mount found by default as well as by `--free mount`, and is its sigma honest?
 //!
-//! `cargo run --release -p skclam-experiments --bin flange_poses -- [--cells N]`. Images are taken by a perturbed arm; `postures.csv` holds the *nominal*
+//! `cargo run --release -p skclam-experiments -- flange-poses [--cells N]`. Images are taken by a perturbed arm; `postures.csv` holds the *nominal*
 //! arm's flange poses. Two truths stand side by side: the mount of the true arm, and the one that fits the true camera poses best to the controller's flange poses,
 //! which no method can beat.
 
+use crate::cells::{Cell, CellOptions};
+use crate::measured::shown;
+use crate::statistics::{median, rms};
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use cpu_time::ProcessTime;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use skclam::calibration::Free;
@@ -14,15 +17,12 @@ use skclam::pipeline::{Config, Outcome, run_without_map};
 use skclam::progress::Silent;
 use skclam::rig::{PostureState, Rig};
 use skclam::trajectory::read_trajectory;
-use skclam_experiments::cells::{Cell, CellOptions};
-use skclam_experiments::measured::shown;
-use skclam_experiments::statistics::{median, rms};
 use std::io::Write;
 use std::path::PathBuf;
 
 /// Mount errors with flange poses of a wrong arm.
-#[derive(Parser)]
-struct Arguments {
+#[derive(Args)]
+pub struct Arguments {
     /// How many cells.
     #[arg(long, default_value_t = 10)]
     cells: u64,
@@ -61,8 +61,11 @@ struct Judged {
     status: String,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
+/// Prints the tables.
+///
+/// # Errors
+/// Data that cannot be read; a single run that fails is a row.
+pub fn run(arguments: &Arguments) -> Result<()> {
     println!(
         "| cell | best possible mm, deg | default: to true mm, deg | to best mm, deg | sigma mm, deg | status | --free mount: to true mm, deg \
          | to best mm, deg | sigma mm, deg | status | default / --free mount | CPU s |"
@@ -72,7 +75,7 @@ fn main() -> Result<()> {
     for seed in arguments.seed..arguments.seed + arguments.cells {
         let begun = ProcessTime::now();
         let scale = arguments.scale.unwrap_or(0.25 + 0.15 * (seed as f64 * 0.618_034).fract());
-        let Arguments { postures, encoder_noise_deg, .. } = arguments;
+        let Arguments { postures, encoder_noise_deg, .. } = *arguments;
         let cell = Cell::rendered(&arguments.work, &CellOptions { seed, scale, postures, encoder_noise_deg })?;
         match both(&cell, arguments.no_depth) {
             Ok((best, by_default, mount_alone)) => {
