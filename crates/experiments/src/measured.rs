@@ -35,6 +35,8 @@ pub struct Compared {
     pub truth: CameraError,
     /// Of the nominal rig, the same.
     pub nominal: CameraError,
+    /// Of the answer, RMS of positions after the best rigid motion of the base, mm: what a figure "with the base frame fitted" speaks of.
+    pub aligned_mm: f64,
     /// Root of the mean claimed variance; `None` where the estimator claims nothing.
     pub claimed: Option<CameraError>,
 }
@@ -131,7 +133,12 @@ fn workspace_of(truth: &Rig, outcome: &Outcome) -> Result<Option<TruePoses>> {
 
 fn compare(nominal: &Rig, poses: &TruePoses, outcome: &Outcome) -> Result<Compared> {
     let claimed = claimed(nominal, outcome, &poses.postures)?;
-    Ok(Compared { truth: poses.error_of(&outcome.rig)?, nominal: poses.error_of(nominal)?, claimed })
+    Ok(Compared {
+        truth: poses.error_of(&outcome.rig)?,
+        nominal: poses.error_of(nominal)?,
+        aligned_mm: poses.aligned_error_mm(&outcome.rig)?,
+        claimed,
+    })
 }
 
 /// Root of the mean claimed variance over postures.

@@ -1,7 +1,7 @@
 //! Where the camera truly was, and how far a rig is from saying so.
 
 use anyhow::Result;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -53,20 +53,35 @@ impl TruePoses {
         })
     }
 
+    /// RMS of the rig's camera positions after the best rigid motion of its whole base, mm: what is left for whoever registers the base with the arm itself.
+    ///
+    /// # Errors
+    /// Postures that do not belong to the rig.
+    pub fn aligned_error_mm(&self, rig: &Rig) -> Result<f64, RigError> {
+        let found = positions(&cameras(rig, &self.postures)?);
+        let truth = positions(&self.cameras);
+        let count = found.len() as f64;
+        let (found_center, true_center) = (center(&found), center(&truth));
+        let pairs = || found.iter().zip(&truth).map(|(f, t)| (f - found_center, t - true_center));
+        let cross: Matrix3<f64> = pairs().map(|(f, t)| t * f.transpose()).sum();
+        let svd = cross.svd(true, true);
+        let (u, v_t) = (svd.u.unwrap_or_else(Matrix3::identity), svd.v_t.unwrap_or_else(Matrix3::identity));
+        // A rotation, not a reflection (Kabsch 1976).
+        let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+        let turn = u * flip * v_t;
+        Ok(1e3 * (pairs().map(|(f, t)| (turn * f - t).norm_squared()).sum::<f64>() / count).sqrt())
+    }
+
     /// By how much the rig's camera positions are too far apart, percent: the scale of the similarity that takes true positions to found
     /// ones (least squares, Umeyama 1991).
     ///
     /// # Errors
     /// Postures that do not belong to the rig.
     pub fn scale_error_percent(&self, rig: &Rig) -> Result<f64, RigError> {
-        let found: Vec<Vector3<f64>> =
-            cameras(rig, &self.postures)?.iter().map(|pose| pose.translation.vector).collect();
-        let truth: Vec<Vector3<f64>> = self.cameras.iter().map(|pose| pose.translation.vector).collect();
-        let count = found.len() as f64;
-        let center = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / count;
+        let (found, truth) = (positions(&cameras(rig, &self.postures)?), positions(&self.cameras));
         let (found_center, true_center) = (center(&found), center(&truth));
         let pairs = || found.iter().zip(&truth).map(|(f, t)| (f - found_center, t - true_center));
-        let cross: nalgebra::Matrix3<f64> = pairs().map(|(f, t)| f * t.transpose()).sum();
+        let cross: Matrix3<f64> = pairs().map(|(f, t)| f * t.transpose()).sum();
         let spread: f64 = pairs().map(|(_, t)| t.norm_squared()).sum();
         // The arms differ by less than a half turn, so that the determinant of the cross covariance is positive.
         Ok(100.0 * (cross.singular_values().sum() / spread - 1.0))
@@ -85,6 +100,14 @@ impl TruePoses {
 
 fn cameras(rig: &Rig, postures: &[Posture]) -> Result<Vec<Isometry3>, RigError> {
     postures.iter().map(|posture| rig.base_from_color(posture)).collect()
+}
+
+fn positions(poses: &[Isometry3]) -> Vec<Vector3<f64>> {
+    poses.iter().map(|pose| pose.translation.vector).collect()
+}
+
+fn center(points: &[Vector3<f64>]) -> Vector3<f64> {
+    points.iter().sum::<Vector3<f64>>() / points.len() as f64
 }
 
 /// Postures drawn evenly from the joints' limits, half a turn to each side at most.
@@ -128,6 +151,18 @@ mod tests {
         rig.flange_from_color.translation.vector.z += 0.002;
         let error = poses.error_of(&rig).unwrap();
         assert!(error.mm > 1.0 && error.mm < 2.001 && error.deg < 0.05, "{error:?}");
+    }
+
+    #[test]
+    fn a_base_that_was_moved_is_no_error_of_aligned_positions() {
+        let (rig, mut poses) = arm();
+        let moved = Isometry3::new(Vector3::new(0.2, -0.1, 0.4), Vector3::new(0.3, 0.2, -1.0));
+        poses.cameras.iter_mut().for_each(|camera| *camera = moved * *camera);
+        assert!(poses.error_of(&rig).unwrap().mm > 10.0);
+        assert!(poses.aligned_error_mm(&rig).unwrap() < 1e-9);
+        poses.cameras[0].translation.vector.x += 0.08;
+        let error = poses.aligned_error_mm(&rig).unwrap();
+        assert!(error > 7.0 && error < 80.0 / 80f64.sqrt(), "{error}");
     }
 
     #[test]

@@ -75,7 +75,8 @@ mod tests {
 
     fn row(status: Status, truth: f64, claimed: f64, nominal: f64, causes: &[Cause]) -> Measured {
         let at = |mm: f64| CameraError { mm, deg: mm / 10.0 };
-        let compared = Compared { truth: at(truth), nominal: at(nominal), claimed: Some(at(claimed)) };
+        let compared =
+            Compared { truth: at(truth), nominal: at(nominal), aligned_mm: truth, claimed: Some(at(claimed)) };
         let shown = Shown {
             status,
             sentence: String::new(),

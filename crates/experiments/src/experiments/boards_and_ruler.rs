@@ -34,10 +34,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let cell = Cell::open(&folder)?;
     let truth = TruePoses::of_rig(&cell.truth, &cell.postures())?;
     println!(
-        "| depth times | true mm | claimed mm (RMS) | true / claimed | first sentence mm | true deg | claimed deg | workspace true / claimed | scale error % | nominal mm \
+        "| depth times | true mm | claimed mm (RMS) | true / claimed | aligned mm | first sentence mm | true deg | claimed deg | workspace true / claimed | scale error % | nominal mm \
          | status | first sentence | CPU s |"
     );
-    println!("|{}", " --- |".repeat(13));
+    println!("|{}", " --- |".repeat(14));
     for &factor in &arguments.scales {
         let mut rig: Rig = cell.dataset.rig.clone();
         rig.depth.as_mut().context("the data set has no depth")?.unit_m *= factor;
@@ -49,10 +49,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let claimed = recorded.claimed.context("least squares has a covariance")?;
         let shown = &measured.shown;
         println!(
-            "| {factor} | {:.4} | {:.4} | {:.2} | {} | {:.4} | {:.4} | {} | {} | {:.2} | {:?} | {} | {:.0} |",
+            "| {factor} | {:.4} | {:.4} | {:.2} | {:.4} | {} | {:.4} | {:.4} | {} | {} | {:.2} | {:?} | {} | {:.0} |",
             recorded.truth.mm,
             claimed.mm,
             recorded.truth.mm / claimed.mm,
+            recorded.aligned_mm,
             shown.sentence_sigma_mm.map_or("-".to_owned(), |sigma| format!("{sigma:.4}")),
             recorded.truth.deg,
             claimed.deg,

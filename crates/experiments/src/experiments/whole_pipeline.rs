@@ -64,10 +64,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(path) => Config::default().overlaid(&std::fs::read_to_string(path)?)?,
     };
     println!(
-        "| cell | image | n | NEES/n | with instruments | coverage | camera true mm | claimed mm | true/claimed | workspace true/claimed | nominal mm | scale error % \
+        "| cell | image | n | NEES/n | with instruments | coverage | camera true mm | claimed mm | true/claimed | aligned mm | first sentence mm | aligned/first sentence | workspace true/claimed | nominal mm | scale error % \
          | inspect mm | inspect/claimed | status | CPU s |"
     );
-    println!("|{}", " --- |".repeat(16));
+    println!("|{}", " --- |".repeat(19));
     let mut all = Vec::new();
     for (name, cell) in cells(arguments) {
         match cell.and_then(|cell| Ok((judged(&cell, &config)?, cell.dataset.rig.color.width))) {
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 print_row(&name, width, &judged);
                 all.push(judged);
             }
-            Err(error) => println!("| {name} | FAILED: {error:#} |{}", " |".repeat(14)),
+            Err(error) => println!("| {name} | FAILED: {error:#} |{}", " |".repeat(17)),
         }
         std::io::stdout().flush()?;
     }
@@ -121,6 +121,11 @@ fn covered(score: &Score) -> (usize, usize) {
     (judged.iter().filter(|parameter| parameter.z().abs() < 1.959_964).count(), judged.len())
 }
 
+/// Positions with the base frame fitted, over what the first sentence claims.
+fn aligned_ratio(measured: &Measured) -> Option<f64> {
+    Some(measured.recorded?.aligned_mm / measured.shown.sentence_sigma_mm?)
+}
+
 fn number(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
@@ -138,6 +143,9 @@ fn print_row(name: &str, width: u32, Judged { measured, score, predicted_mm }: &
         number(recorded.map(|r| r.truth.mm), 4),
         number(recorded.and_then(|r| r.claimed).map(|claimed| claimed.mm), 4),
         number(recorded.and_then(|r| r.ratio()), 2),
+        number(recorded.map(|r| r.aligned_mm), 4),
+        number(measured.shown.sentence_sigma_mm, 4),
+        number(aligned_ratio(measured), 2),
         number(workspace.and_then(|w| w.ratio()), 2),
         number(recorded.map(|r| r.nominal.mm), 2),
         number(measured.scale_error_percent, 4),
@@ -174,6 +182,8 @@ fn print_pooled(all: &[Judged]) {
     println!("| NEES/n with the instruments (95 % band {low_all:.2} to {high_all:.2}) | {nees_all:.2} | |");
     println!("| coverage of 95 % intervals | {:.3} | at least 0.93 |", within as f64 / of as f64);
     println!("| camera error / claimed sigma, RMS | {:.2} | at most 1.2 |", rms(&recorded));
+    let aligned = ratios(&aligned_ratio);
+    println!("| camera error with the base frame fitted / first sentence, RMS | {:.2} | |", rms(&aligned));
     println!("| the same over the workspace | {:.2} | |", rms(&workspace));
     println!("| scale error, mean and sd, % | {:.4}, {:.4} | mean at most 0.01 |", mean(&scale), sd(&scale));
     println!(
