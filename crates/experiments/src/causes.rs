@@ -1,6 +1,8 @@
 //! Which cause a text names. The program's words are read by their key words, so that a table can say whether the right cause comes first.
 
+use anyhow::{Result, bail};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// What can be wrong with a recording or a rig.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -24,6 +26,9 @@ pub enum Cause {
     ImageShift,
     MountFarOff,
     FewPostures,
+    BoardSquares,
+    DepthNoise,
+    PostureNoise,
 }
 
 /// Causes and the words by which a statement names them. Longer phrases stand first where one contains another.
@@ -89,6 +94,33 @@ const WORDS: [(Cause, &[&str]); 18] = [
     ),
 ];
 
+/// The cause that an entry of the summary's list names by its type; `None` for one that blames nothing which these rows make wrong (a parameter of the arm).
+///
+/// # Errors
+/// A type that is not known.
+pub fn of_entry(entry: &Value) -> Result<Option<Cause>> {
+    let text = |key: &str| entry.pointer(key).and_then(Value::as_str).unwrap_or_default();
+    Ok(Some(match (text("/kind"), text("/what"), text("/pattern/kind")) {
+        ("beyond" | "ruler", "focal_length", _) => Cause::FocalLength,
+        ("beyond" | "ruler", "principal_point", _) => Cause::PrincipalPoint,
+        ("beyond" | "ruler", "distortion", _) => Cause::Distortion,
+        ("beyond" | "ruler", "depth_scale", _) => Cause::DepthScale,
+        ("beyond" | "ruler", "depth_offset", _) => Cause::DepthBias,
+        ("beyond" | "ruler", "extrinsics", _) => Cause::Extrinsics,
+        ("beyond" | "ruler", "board_squares", _) => Cause::BoardSquares,
+        ("beyond", "mount", _) => Cause::MountFarOff,
+        ("beyond", "clock", _) | ("pattern", _, "time_offset") => Cause::TimeOffset,
+        ("pattern", _, "joint_step") => Cause::JointStep,
+        ("pattern", _, "camera_slip") => Cause::MountStep,
+        ("pattern", _, "transmission") => Cause::Gears,
+        ("pattern", _, "compliance") => Cause::Compliance,
+        ("depth_noise", ..) => Cause::DepthNoise,
+        ("posture_noise", ..) => Cause::PostureNoise,
+        ("beyond", "arm", _) => return Ok(None),
+        _ => bail!("the cause {entry} is not known"),
+    }))
+}
+
 /// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?") is no naming.
 pub fn named_in(statement: &str) -> Vec<Cause> {
     let text = assertions(statement).to_lowercase();
@@ -138,6 +170,16 @@ fn assertions(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn typed_causes_are_known_by_their_kind_and_others_are_errors() {
+        let of = |text: &str| of_entry(&serde_json::from_str(text).unwrap());
+        let step = r#"{"kind": "pattern", "pattern": {"kind": "joint_step", "joint": 1, "from": 24}, "size": 0.1}"#;
+        assert_eq!(of(step).unwrap(), Some(Cause::JointStep));
+        assert_eq!(of(r#"{"kind": "beyond", "what": "focal_length"}"#).unwrap(), Some(Cause::FocalLength));
+        assert_eq!(of(r#"{"kind": "beyond", "what": "arm"}"#).unwrap(), None);
+        assert!(of(r#"{"kind": "weather"}"#).is_err());
+    }
 
     #[test]
     fn causes_come_in_the_order_of_their_mention_and_questions_name_none() {

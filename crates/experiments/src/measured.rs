@@ -3,7 +3,7 @@
 //! Numbers of the estimate come from [`Outcome`]; what a person is shown (status, first sentence, causes) from the summary as JSON, where keys are
 //! looked up by name and a missing one is an error.
 
-use crate::causes::{Cause, named};
+use crate::causes::{Cause, named, of_entry};
 use crate::gauge::{Score, score};
 use crate::true_poses::{CameraError, TruePoses, workspace_postures};
 use anyhow::{Context, Result, bail};
@@ -55,11 +55,11 @@ pub struct Shown {
     pub status: Status,
     /// The first sentence, or the error's text.
     pub sentence: String,
-    /// What the first sentence claims: the mean standard deviation of the camera over the recorded postures, mm.
+    /// What the first sentence claims of the camera's position over the recorded postures, mm: with the base frame fitted, or (older versions) the mean sigma.
     pub sentence_sigma_mm: Option<f64>,
-    /// Causes, else what is wrong in the order in which it is shown.
+    /// What is wrong in the order in which it is shown: sentence, checks that are not passed, warnings.
     pub statements: Vec<String>,
-    /// The causes that these name, in order.
+    /// The causes that the summary lists by type, then those that the statements name in words.
     pub causes: Vec<Cause>,
     /// Held-out metrics of the nominal rig, the mount alone and the calibrated rig.
     pub held_out: Option<[Option<f64>; 3]>,
@@ -171,27 +171,29 @@ pub fn shown(summary: &Value) -> Result<Shown> {
         other => bail!("the summary's status \"{other}\" is not known"),
     };
     let statements = statements(summary, &sentence)?;
+    let mut causes = Vec::new();
+    for entry in summary.pointer("/causes").and_then(Value::as_array).into_iter().flatten() {
+        causes.extend(of_entry(entry)?);
+    }
+    causes.extend(named(&statements));
     let held_out = summary.pointer("/held_out").filter(|value| !value.is_null());
     let held_out = held_out.map(|value| first(value, &["/metric_px", "/figure_px"])).transpose()?;
-    let sigma = ["/recorded_poses/camera_sigma_mm/mean", "/recorded_poses/camera_sigma_mm"];
+    let sigma = ["/recorded_poses/registered/sigma_mm", "/recorded_poses/camera_sigma_mm/mean"];
     Ok(Shown {
         status,
         sentence,
         sentence_sigma_mm: sigma.iter().find_map(|key| summary.pointer(key)?.as_f64()),
-        causes: named(&statements),
+        causes,
         statements,
         held_out: held_out
             .map(|px| ["/nominal", "/mount_only", "/calibrated"].map(|key| px.pointer(key).and_then(Value::as_f64))),
     })
 }
 
-/// Causes where the summary lists them, else the sentence, the checks that are not passed, and the warnings.
+/// The sentence, the checks that are not passed, and the warnings.
 fn statements(summary: &Value, sentence: &str) -> Result<Vec<String>> {
     let list = |key: &str| summary.pointer(key).and_then(Value::as_array).cloned();
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    if let Some(causes) = list("/causes").filter(|causes| !causes.is_empty()) {
-        return Ok(causes.iter().map(text).collect());
-    }
     let checks = list("/checks").or_else(|| list("/reasons")).context("the summary has neither checks nor reasons")?;
     let good = |check: &&Value| {
         let status = ["/status", "/grade"].iter().find_map(|key| check.pointer(key));

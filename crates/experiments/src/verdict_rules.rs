@@ -22,23 +22,28 @@ const COVERED: f64 = 2.0;
 
 /// Whether an answer may be used as it stands: its error is covered by its claim, and answer and claim are better than nominal.
 pub fn within_claim(measured: &Measured) -> bool {
-    measured.recorded.is_some_and(|recorded| {
-        let (truth, nominal) = (recorded.truth, recorded.nominal);
-        recorded.claimed.is_some_and(|claimed| {
-            let covered = truth.mm <= COVERED * claimed.mm && truth.deg <= COVERED * claimed.deg;
-            covered && truth.mm < nominal.mm && claimed.mm < nominal.mm
+    covered(measured)
+        && measured.recorded.is_some_and(|recorded| {
+            let nominal = recorded.nominal.mm;
+            recorded.truth.mm < nominal && recorded.claimed.is_some_and(|claimed| claimed.mm < nominal)
         })
-    })
+}
+
+/// Whether the true error is covered by the claims: position and orientation after the base's gauge by the covariance, and the position with the base frame fitted by
+/// the first sentence, which speaks of that.
+fn covered(measured: &Measured) -> bool {
+    let by_covariance = measured.recorded.is_some_and(|recorded| {
+        let truth = recorded.truth;
+        recorded.claimed.is_some_and(|claimed| truth.mm <= COVERED * claimed.mm && truth.deg <= COVERED * claimed.deg)
+    });
+    let sigma = measured.shown.sentence_sigma_mm;
+    by_covariance && sigma.is_none_or(|sigma| measured.recorded.is_some_and(|r| r.aligned_mm <= COVERED * sigma))
 }
 
 /// Judges a row in which one of `expected` is wrong (empty: nothing that needs a name).
 pub fn judge(measured: &Measured, expected: &[Cause]) -> Verdict {
     let status = measured.shown.status;
-    let exceeds_claim = measured.recorded.is_none_or(|recorded| {
-        recorded.claimed.is_none_or(|claimed| {
-            recorded.truth.mm > COVERED * claimed.mm || recorded.truth.deg > COVERED * claimed.deg
-        })
-    });
+    let exceeds_claim = !covered(measured);
     let exceeds_nominal = measured.recorded.is_some_and(|recorded| recorded.truth.mm > recorded.nominal.mm);
     let red = matches!(status, Status::Red | Status::Refused);
     let within = within_claim(measured);

@@ -58,9 +58,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let chosen = |row: &&Row| arguments.only.as_ref().is_none_or(|only| row.name.contains(only.as_str()));
     println!(
-        "| seed | row | true mm | claimed mm | nominal mm | true deg | claimed deg | status | named first | expected | verdict | CPU s |"
+        "| seed | row | true mm | claimed mm | nominal mm | true deg | claimed deg | aligned mm | first sentence mm | status | named first | expected | verdict | CPU s |"
     );
-    println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |");
+    println!("|{}", " --- |".repeat(14));
     let mut verdicts = Vec::new();
     for &seed in &arguments.seed {
         // Rendered here, so that no row's time limit pays for it.
@@ -70,7 +70,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 match run_again::<Measured>(&again(arguments, seed, row), Duration::from_secs(arguments.limit_s)) {
                     Ok(measured) => measured,
                     Err(error) => {
-                        println!("| {seed} | {} | - | - | - | - | - | no result: {error:#} | | | FAILED | |", row.name);
+                        println!(
+                            "| {seed} | {} | - | - | - | - | - | - | - | no result: {error:#} | | | FAILED | |",
+                            row.name
+                        );
                         verdicts.push(None);
                         continue;
                     }
@@ -131,15 +134,17 @@ fn print_row(seed: u64, row: &Row, measured: &Measured, verdict: &Verdict) {
                 claimed.map_or("-".to_owned(), |c| format!("{:.3}", value(c.mm, c.deg)))
             };
             format!(
-                "{:.3} | {} | {:.2} | {:.3} | {}",
+                "{:.3} | {} | {:.2} | {:.3} | {} | {:.3} | {}",
                 recorded.truth.mm,
                 claimed(&|mm, _| mm),
                 recorded.nominal.mm,
                 recorded.truth.deg,
-                claimed(&|_, deg| deg)
+                claimed(&|_, deg| deg),
+                recorded.aligned_mm,
+                measured.shown.sentence_sigma_mm.map_or("-".to_owned(), |sigma| format!("{sigma:.3}"))
             )
         }
-        None => "- | - | - | - | -".to_owned(),
+        None => "- | - | - | - | - | - | -".to_owned(),
     };
     let first = measured.shown.causes.first().map_or("-".to_owned(), |cause| format!("{cause:?}"));
     let expected: Vec<String> = row.expected.iter().map(|cause| format!("{cause:?}")).collect();
