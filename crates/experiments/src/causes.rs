@@ -68,7 +68,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
         &["camera moved", "camera slipped", "mount moved", "mount steps", "step of the mount", "mount slipped"],
     ),
     (Cause::JointStep, &["encoder", "step in time", "steps by", "step of joint", "jumps by", "joint step"]),
-    (Cause::JointSign, &["sign", "turns the other way", "reversed"]),
+    (Cause::JointSign, &["sign of", "wrong sign", "turns the other way", "reversed"]),
     (Cause::JointOrder, &["swapped", "joint order", "order of the joints", "order of joints", "columns of joints"]),
     (Cause::Degrees, &["radian"]),
     (
@@ -142,7 +142,7 @@ pub fn named(statements: &[String]) -> Vec<Cause> {
     causes
 }
 
-/// Where a word begins in a text: "sign" is not found in "design".
+/// Where a word begins in a text: "sag" is not found in "message".
 fn position(text: &str, word: &str) -> Option<usize> {
     let begins = |at: usize| !text[..at].ends_with(|before: char| before.is_alphanumeric());
     text.match_indices(word).map(|(at, _)| at).find(|&at| begins(at))
@@ -187,7 +187,7 @@ mod tests {
             named_in("The depth scale is 0.5 % off. Are the focal lengths right? If not: the time offset is 1.5 ms.");
         assert_eq!(found, [Cause::DepthScale, Cause::TimeOffset]);
         assert!(named_in("Are the intrinsics right? Is the focal length?").is_empty());
-        assert!(named_in("a new design").is_empty());
+        assert!(named_in("a new message").is_empty());
         assert_eq!(named_in("fx moved by +13.7 px, 5.0 times what is expected of it"), [Cause::FocalLength]);
         assert_eq!(named_in("depth_rx moved by +1.000 deg"), [Cause::Extrinsics]);
         let all =

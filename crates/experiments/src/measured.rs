@@ -57,6 +57,8 @@ pub struct Shown {
     pub sentence: String,
     /// What the first sentence claims of the camera's position over the recorded postures, mm: with the base frame fitted, or (older versions) the mean sigma.
     pub sentence_sigma_mm: Option<f64>,
+    /// Mean standard deviation of the camera's position over the recorded postures, mm: what `inspect` predicts.
+    pub camera_sigma_mm: Option<f64>,
     /// What is wrong in the order in which it is shown: sentence, checks that are not passed, warnings.
     pub statements: Vec<String>,
     /// The causes that the summary lists by type, then those that the statements name in words.
@@ -120,8 +122,15 @@ pub fn refused(error: &anyhow::Error, seconds: f64) -> Measured {
     let sentence = format!("{error:#}");
     let statements = vec![sentence.clone()];
     let causes = named(&statements);
-    let shown =
-        Shown { status: Status::Refused, sentence, sentence_sigma_mm: None, statements, causes, held_out: None };
+    let shown = Shown {
+        status: Status::Refused,
+        sentence,
+        sentence_sigma_mm: None,
+        camera_sigma_mm: None,
+        statements,
+        causes,
+        held_out: None,
+    };
     Measured { recorded: None, workspace: None, shown, scale_error_percent: None, seconds }
 }
 
@@ -183,6 +192,7 @@ pub fn shown(summary: &Value) -> Result<Shown> {
         status,
         sentence,
         sentence_sigma_mm: sigma.iter().find_map(|key| summary.pointer(key)?.as_f64()),
+        camera_sigma_mm: summary.pointer(sigma[1]).and_then(Value::as_f64),
         causes,
         statements,
         held_out: held_out

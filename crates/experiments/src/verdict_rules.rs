@@ -86,6 +86,7 @@ mod tests {
             status,
             sentence: String::new(),
             sentence_sigma_mm: None,
+            camera_sigma_mm: None,
             statements: vec![],
             causes: causes.to_vec(),
             held_out: None,

@@ -27,7 +27,7 @@ pub struct Arguments {
 /// Prints the tables.
 ///
 /// # Errors
-/// Data that cannot be read; a single run that fails is a row.
+/// Data that cannot be read, or a run that fails.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let shared = std::env::var_os("SKCLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let folder = arguments.dataset.clone().unwrap_or_else(|| shared.join("virtual-cell"));

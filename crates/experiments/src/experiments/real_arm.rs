@@ -30,7 +30,7 @@ pub struct Arguments {
 /// Prints the tables.
 ///
 /// # Errors
-/// Data that cannot be read; a single run that fails is a row.
+/// Data that cannot be read, or a run that fails.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let config = match &arguments.config {
         None => Config::default(),

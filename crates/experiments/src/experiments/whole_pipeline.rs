@@ -64,8 +64,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(path) => Config::default().overlaid(&std::fs::read_to_string(path)?)?,
     };
     println!(
-        "| cell | image | n | NEES/n | with instruments | coverage | camera true mm | claimed mm | true/claimed | aligned mm | first sentence mm | aligned/first sentence | workspace true/claimed | nominal mm | scale error % \
-         | inspect mm | inspect/claimed | status | CPU s |"
+        "| cell | image | n | NEES/n | with instruments | coverage | camera true mm | claimed mm | true/claimed | aligned mm \
+         | first sentence mm | aligned/first sentence | workspace true/claimed | nominal mm | scale error % | inspect mm | inspect/claimed | status | CPU s |"
     );
     println!("|{}", " --- |".repeat(19));
     let mut all = Vec::new();
@@ -150,7 +150,7 @@ fn print_row(name: &str, width: u32, Judged { measured, score, predicted_mm }: &
         number(recorded.map(|r| r.nominal.mm), 2),
         number(measured.scale_error_percent, 4),
         number(*predicted_mm, 4),
-        number(predicted_mm.zip(measured.shown.sentence_sigma_mm).map(|(predicted, run)| predicted / run), 2),
+        number(predicted_mm.zip(measured.shown.camera_sigma_mm).map(|(predicted, run)| predicted / run), 2),
         format!("{:?}", measured.shown.status),
         format!("{:.0}", measured.seconds),
     ];
@@ -173,7 +173,7 @@ fn print_pooled(all: &[Judged]) {
     let workspace = ratios(&|measured| measured.workspace?.ratio());
     let scale = ratios(&|measured| measured.scale_error_percent);
     let predicted: Vec<f64> =
-        all.iter().filter_map(|one| Some(one.predicted_mm? / one.measured.shown.sentence_sigma_mm?)).collect();
+        all.iter().filter_map(|one| Some(one.predicted_mm? / one.measured.shown.camera_sigma_mm?)).collect();
     let extremes = predicted.iter().fold([f64::INFINITY, 0f64], |[low, high], &one| [low.min(one), high.max(one)]);
     println!("\n| over {} cells | | needed |\n| --- | --- | --- |", all.len());
     println!("| NEES/n of arm and mount (95 % band {low:.2} to {high:.2}) | {nees:.2} | 0.8 to 1.3 |");
