@@ -3,7 +3,7 @@
 //! The information about the parameters does not depend on what was measured, only on where the measurements are made. So sights predicted
 //! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
 
-use crate::bundle::adjust::{Adjustment, marginal, posed_state};
+use crate::bundle::adjust::{Adjustment, inverse, marginal, posed_state};
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
 use crate::bundle::posterior::{Likelihood, PosteriorInputs};
@@ -132,10 +132,9 @@ pub fn expected_calibration(
     priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
     let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
     let inputs = PosteriorInputs { likelihood, prior_normal, priors: priors.clone(), ruler, held: true };
-    let covariance = match inputs.posterior() {
-        Some(known) => known.covariance,
-        None => covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), &parameters),
-    };
+    // Predicted data lie at the nominal arm and would say that it has no errors: the sigmas of its prior groups stay at their medians.
+    let precision = &inputs.likelihood.normal + &inputs.prior_normal;
+    let covariance = inverse(&precision).unwrap_or_else(|| covariance(&precision, &parameters));
     let normal = inputs.with_instruments(&parameters);
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
