@@ -9,8 +9,7 @@
 //! The fits are a delete-a-group jackknife too ([`jackknife`]; Efron and Stein, "The jackknife estimate of variance", 1981): their scatter tells the covariance without any
 //! model of the noise.
 
-use crate::bundle::{OUTLIER_SIGMAS, Observations, compare, predicted_distances};
-use crate::motion::Motion;
+use crate::bundle::{OUTLIER_SIGMAS, Predicted, predicted_distances};
 use crate::pose_covariance::aligned_position_variance;
 use crate::robust::median;
 use crate::{
@@ -154,61 +153,51 @@ pub fn held_out_groups(postures: &[Posture], folds: usize) -> Vec<Vec<usize>> {
     groups
 }
 
-/// Compares models on some postures. Sights count where one of the models fits them within 4.5 sigma (`sigma_px`, but at least 1 px).
-pub fn compare_models(
-    models: Rigs<&Model>,
+/// How two rigs fare on a recording that neither was fitted to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingComparison {
+    /// `nominal`: the rig to compare with; `calibrated`: the one under test.
+    pub comparison: Comparison,
+    /// The same posture by posture, for those with observations: position, and RMS of the reprojection of each rig, px.
+    pub postures: Vec<(usize, Rigs<f64>)>,
+}
+
+/// Compares two rigs on a recording that neither was fitted to. Each group of arm positions is compared with the scene and the board where the *others* saw them
+/// under the same rig, so that errors of the arm cannot vanish into the scene.
+pub fn compare_on_recording(
+    nominal: &Model,
+    tested: &Model,
     data: &Correspondences,
-    postures: &[usize],
+    groups: &[Vec<usize>],
     sigma_px: f64,
-) -> Result<Comparison, CalibrationError> {
+) -> Result<RecordingComparison, CalibrationError> {
     data.check()?;
-    let motion = Motion::new(&models.nominal.rig, &data.postures)?;
-    let chosen = |posture: usize| postures.contains(&posture);
-    let touching = Correspondences {
-        postures: data.postures.clone(),
-        tracks: data.tracks.iter().filter(|t| t.observations.iter().any(|o| chosen(o.posture))).cloned().collect(),
-        pairs: data.pairs.iter().filter(|pair| chosen(pair.a) || chosen(pair.b)).cloned().collect(),
-        boards: data.boards.iter().filter(|board| chosen(board.posture)).cloned().collect(),
+    let of = |model: &Model| -> Result<Vec<Predicted>, CalibrationError> {
+        Ok(groups
+            .iter()
+            .map(|group| predicted_distances(model, &[], data, group))
+            .collect::<Result<Vec<_>, _>>()?
+            .concat())
     };
-    let epipolar = |model: &Model| epipolar_statistics(model, &touching);
-    let mut comparison = Comparison {
-        reprojection: Rigs {
-            mount_only: models.mount_only.map(|_| ReprojectionStatistics::default()),
-            ..Rigs::default()
-        },
-        epipolar: Rigs {
-            nominal: epipolar(models.nominal)?,
-            mount_only: models.mount_only.map(epipolar).transpose()?,
-            calibrated: epipolar(models.calibrated)?,
-        },
-    };
-    let observations = Observations::new(&models.nominal.rig, &touching, &|_| true, &mut Vec::new())?;
-    if observations.sightings.is_empty() && observations.corners.is_empty() {
-        return Ok(comparison);
-    }
-    let gate = OUTLIER_SIGMAS * sigma_px.max(1.0);
-    let sights = |other: &Model| {
-        let (others, calibrated) = compare(other, models.calibrated, &motion, &observations, sigma_px)?;
-        let pairs = others.sizes.iter().zip(&calibrated.sizes).filter(|(size, _)| chosen(size.posture as usize));
-        Ok::<_, CalibrationError>(pairs.map(|(o, c)| [o.distance_px(), c.distance_px()]).collect::<Vec<_>>())
-    };
-    let nominal = sights(models.nominal)?;
-    let mount_only = models.mount_only.map(sights).transpose()?;
-    let mut kept =
-        Rigs { nominal: Vec::new(), mount_only: mount_only.as_ref().map(|_| Vec::new()), calibrated: Vec::new() };
-    for (at, &[before, after]) in nominal.iter().enumerate() {
-        let between = mount_only.as_ref().map(|sights| sights[at][0]);
-        let finite = before.is_finite() && after.is_finite() && between.is_none_or(f64::is_finite);
-        if finite && before.min(after).min(between.unwrap_or(after)) < gate {
-            kept.nominal.push(before);
-            kept.calibrated.push(after);
-            if let (Some(list), Some(between)) = (&mut kept.mount_only, between) {
-                list.push(between);
-            }
+    let (before, after) = (of(nominal)?, of(tested)?);
+    let distances = |list: &[Predicted]| list.iter().map(|one| one.distance_px).collect::<Vec<f64>>();
+    let (before_px, after_px) = (distances(&before), distances(&after));
+    let rigs = Rigs { nominal: &before_px[..], mount_only: None, calibrated: &after_px[..] };
+    let kept = fitting_one(rigs, sigma_px);
+    let mut postures = Vec::new();
+    for posture in 0..data.postures.len() {
+        let own: Vec<usize> = kept.iter().copied().filter(|&at| after[at].posture == posture).collect();
+        let rms = |list: &[f64]| (own.iter().map(|&at| list[at].powi(2)).sum::<f64>() / own.len() as f64).sqrt();
+        if !own.is_empty() {
+            postures.push((posture, Rigs { nominal: rms(&before_px), mount_only: None, calibrated: rms(&after_px) }));
         }
     }
-    comparison.reprojection = kept.map(|mut distances| statistics(&mut distances, nominal.len()));
-    Ok(comparison)
+    let epipolar = Rigs {
+        nominal: epipolar_statistics(nominal, data)?,
+        mount_only: None,
+        calibrated: epipolar_statistics(tested, data)?,
+    };
+    Ok(RecordingComparison { comparison: Comparison { reprojection: over(rigs, &kept), epipolar }, postures })
 }
 
 fn statistics(distances: &mut [f64], observations: usize) -> ReprojectionStatistics {
@@ -256,13 +245,16 @@ pub fn compare_trained(
         ..Default::default()
     };
     let epipolar = |trained: Trained<'_>| epipolar_statistics(trained.model, &touching);
-    let distances = |trained: Trained<'_>| predicted_distances(trained.model, trained.posture_errors, data, held_out);
+    let distances = |trained: Trained<'_>| -> Result<Vec<f64>, CalibrationError> {
+        let predicted = predicted_distances(trained.model, trained.posture_errors, data, held_out)?;
+        Ok(predicted.into_iter().map(|one| one.distance_px).collect())
+    };
     let nominal = distances(rigs.nominal)?;
     let mount_only = rigs.mount_only.map(distances).transpose()?;
     let calibrated = distances(rigs.calibrated)?;
     let all = Rigs { nominal: &nominal[..], mount_only: mount_only.as_deref(), calibrated: &calibrated[..] };
     Ok(Comparison {
-        reprojection: inliers_of_one(all, sigma_px),
+        reprojection: over(all, &fitting_one(all, sigma_px)),
         epipolar: Rigs {
             nominal: epipolar(rigs.nominal)?,
             mount_only: rigs.mount_only.map(epipolar).transpose()?,
@@ -271,8 +263,8 @@ pub fn compare_trained(
     })
 }
 
-/// Statistics of distances (infinite where there is none) of the same observations, over those that fit one of the rigs.
-fn inliers_of_one(distances: Rigs<&[f64]>, sigma_px: f64) -> Rigs<ReprojectionStatistics> {
+/// Which of the same observations (distances infinite where nothing is expected) fit one of the rigs.
+fn fitting_one(distances: Rigs<&[f64]>, sigma_px: f64) -> Vec<usize> {
     let of = |at: usize| {
         let between = distances.mount_only.map(|list| list[at]);
         (distances.nominal[at], between, distances.calibrated[at])
@@ -289,13 +281,16 @@ fn inliers_of_one(distances: Rigs<&[f64]>, sigma_px: f64) -> Rigs<ReprojectionSt
     let middle = median(&mut known.iter().map(|&at| best(at)).collect::<Vec<_>>());
     // The median of the norm of a two-dimensional normal is 1.18 sigma.
     let gate = OUTLIER_SIGMAS * sigma_px.max(1.0).max(middle / 1.18);
-    let kept: Vec<usize> = known.into_iter().filter(|&at| best(at) < gate).collect();
+    known.into_iter().filter(|&at| best(at) < gate).collect()
+}
+
+fn over(distances: Rigs<&[f64]>, kept: &[usize]) -> Rigs<ReprojectionStatistics> {
     let total = distances.calibrated.len();
-    let over = |list: &[f64]| statistics(&mut kept.iter().map(|&at| list[at]).collect::<Vec<_>>(), total);
+    let of = |list: &[f64]| statistics(&mut kept.iter().map(|&at| list[at]).collect::<Vec<_>>(), total);
     Rigs {
-        nominal: over(distances.nominal),
-        mount_only: distances.mount_only.map(over),
-        calibrated: over(distances.calibrated),
+        nominal: of(distances.nominal),
+        mount_only: distances.mount_only.map(of),
+        calibrated: of(distances.calibrated),
     }
 }
 
@@ -478,8 +473,8 @@ mod tests {
         };
         let truth_model = Model::new(truth.clone());
         let nominal_model = Model::new(hp3j());
-        let models = Rigs { nominal: &nominal_model, mount_only: None, calibrated: &truth_model };
-        let comparison = compare_models(models, &pairs, &groups[1], 0.5).unwrap();
+        let RecordingComparison { comparison, .. } =
+            compare_on_recording(&nominal_model, &truth_model, &pairs, &groups, 0.5).unwrap();
         assert_eq!(comparison.reprojection.calibrated.observations, 0);
         let fold = Fold { held_out: groups[1].clone(), comparison, offsets: Vec::new() };
         assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");

@@ -46,8 +46,9 @@ pub use error::CalibrationError;
 pub use error_function::{EpipolarStatistics, epipolar_statistics};
 pub use free::{Free, ParseFreeError};
 pub use held_out::{
-    Comparison, CrossValidation, Estimate, Fold, Jackknife, Rigs, Trained, arm_positions, compare_models,
-    compare_trained, cross_validate, held_out_groups, jackknife, neighbouring_folds, without_postures,
+    Comparison, CrossValidation, Estimate, Fold, Jackknife, RecordingComparison, Rigs, Trained, arm_positions,
+    compare_on_recording, compare_trained, cross_validate, held_out_groups, jackknife, neighbouring_folds,
+    without_postures,
 };
 pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
 pub use model::{DepthCorrection, Model};

@@ -43,7 +43,7 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
         json(&succeed(&[&["validate", utf8(cell()), "--rig", utf8(rig), "--json", "--quiet"], refit].concat()))
     };
     let holds = validation(&out, &[]);
-    assert!(number(&holds, "/figure_px/calibrated") < 0.1 * number(&holds, "/figure_px/nominal"), "{holds}");
+    assert!(number(&holds, "/metric_px/calibrated") < 0.1 * number(&holds, "/metric_px/nominal"), "{holds}");
     assert!(holds["verdict"].as_str().unwrap().contains("holds"), "{holds}");
     // The data set's own rig does not beat itself, however its mount is fitted.
     let same = validation(&cell().join("rig.toml"), &["--refit", "mount"]);

@@ -84,21 +84,23 @@ pub(crate) fn error_patterns(
     let postures = motion.len();
     let mut found = Vec::new();
     if motion.has_joints() {
-        for joint in 0..knowledge.components {
-            found.extend(tests.joint_step(joint, postures));
-            let readings: Vec<JointReading> = (0..postures).map(|at| motion.readings(at)[joint]).collect();
-            let column = |value: &dyn Fn(&JointReading) -> f64| {
-                let mut column = DVector::zeros(knowledge.mean.len());
-                readings.iter().enumerate().for_each(|(at, r)| column[at * knowledge.components + joint] = value(r));
-                column
-            };
-            for harmonic in [1u32, 2] {
-                let angle = |r: &JointReading| f64::from(harmonic) * r.value;
-                let both = [column(&|r| angle(r).sin()), column(&|r| angle(r).cos())];
-                found.extend(tests.pattern(ErrorPattern::Transmission { joint, harmonic }, &both));
-            }
-            found.extend(tests.pattern(ErrorPattern::Compliance { joint }, &[column(&|r| r.lever)]));
+        let column = |joint: usize, value: &dyn Fn(&JointReading) -> f64| {
+            let mut column = DVector::zeros(knowledge.mean.len());
+            (0..postures).for_each(|at| column[at * knowledge.components + joint] = value(&motion.readings(at)[joint]));
+            column
+        };
+        let joints = 0..knowledge.components;
+        found.extend(joints.clone().filter_map(|joint| tests.joint_step(joint, postures)));
+        for harmonic in [1u32, 2] {
+            let angle = |r: &JointReading| f64::from(harmonic) * r.value;
+            let columns = joints
+                .clone()
+                .map(|joint| vec![column(joint, &|r| angle(r).sin()), column(joint, &|r| angle(r).cos())]);
+            let pattern = |joint| ErrorPattern::Transmission { joint, harmonic };
+            found.extend(tests.of_joints(&pattern, &columns.collect::<Vec<_>>()));
         }
+        let columns: Vec<_> = joints.map(|joint| vec![column(joint, &|r| r.lever)]).collect();
+        found.extend(tests.of_joints(&|joint| ErrorPattern::Compliance { joint }, &columns));
         let mut late = DVector::zeros(knowledge.mean.len());
         for at in 0..postures {
             let rates = motion.readings(at).iter().map(|reading| reading.rate).enumerate();
@@ -171,6 +173,23 @@ impl<'a> ScoreTests<'a> {
             design.rows(posture * c, c).transpose() * self.score.rows(posture * c, c)
         })?;
         Some(PatternFinding { pattern, size, sigma, chi_squared, freedom: columns.len() })
+    }
+
+    /// A pattern that each joint may have: by single joints, and by all of them together under the name of the one that has most of it.
+    fn of_joints(&self, pattern: &dyn Fn(usize) -> ErrorPattern, columns: &[Vec<DVector<f64>>]) -> Vec<PatternFinding> {
+        let alone = columns.iter().enumerate().filter_map(|(joint, own)| self.pattern(pattern(joint), own));
+        let mut found: Vec<PatternFinding> = alone.collect();
+        let most = found.iter().copied().max_by(|a, b| a.chi_squared.total_cmp(&b.chi_squared));
+        let all: Vec<DVector<f64>> = columns.concat().into_iter().filter(|column| column.amax() > 0.0).collect();
+        if let (Some(most), true) = (most, found.len() > 1) {
+            let together = self.pattern(most.pattern, &all);
+            found.extend(together.map(|all| PatternFinding {
+                chi_squared: all.chi_squared,
+                freedom: all.freedom,
+                ..most
+            }));
+        }
+        found
     }
 
     /// The smaller of a model's chi squared and of the one whose variance is that of the scores over arm positions. `None` with too few of these.

@@ -32,7 +32,7 @@ pub(crate) use noise::OUTLIER_SIGMAS;
 pub(crate) use observations::Observations;
 pub use options::{BundleOptions, PostureErrorPolicy, RulerPolicy};
 pub(crate) use posterior::PosteriorInputs;
-pub(crate) use predicted::predicted_distances;
+pub(crate) use predicted::{Predicted, predicted_distances};
 pub use random_effects::ErrorKind;
 pub use solve::calibrate_bundle;
 pub(crate) use solve::compare;

@@ -8,6 +8,14 @@ use crate::motion::Motion;
 use crate::{CalibrationError, Correspondences, Loss, Model};
 use skclam_geometry::{Isometry3, Pixel, Point3};
 
+/// How far an observation is from where a rig expects it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Predicted {
+    pub posture: usize,
+    /// Infinite where nothing is expected.
+    pub distance_px: f64,
+}
+
 /// Distances, px, of the observations of held-out postures to where the model expects them: first those of tracks, then of board corners, in the order of the data. Points and
 /// board lie where the other postures saw them. Infinite where a track has fewer than two other observations, or cannot be triangulated from them.
 pub(crate) fn predicted_distances(
@@ -15,7 +23,7 @@ pub(crate) fn predicted_distances(
     posture_errors: &[f64],
     data: &Correspondences,
     held_out: &[usize],
-) -> Result<Vec<f64>, CalibrationError> {
+) -> Result<Vec<Predicted>, CalibrationError> {
     let motion = Motion::new(&model.rig, &data.postures)?;
     let is_held = |posture: usize| held_out.contains(&posture);
     let touching = Correspondences {
@@ -46,7 +54,8 @@ pub(crate) fn predicted_distances(
     let mut distances = Vec::new();
     for (track, point) in points.iter().enumerate() {
         for sighting in observations.track(track).iter().filter(|s| is_held(s.posture as usize)) {
-            distances.push(point.map_or(f64::INFINITY, |point| distance(sighting, &point)));
+            let distance_px = point.map_or(f64::INFINITY, |point| distance(sighting, &point));
+            distances.push(Predicted { posture: sighting.posture as usize, distance_px });
         }
     }
     distances.extend(board_distances(model, posture_errors, data, held_out)?);
@@ -72,7 +81,7 @@ fn board_distances(
     posture_errors: &[f64],
     data: &Correspondences,
     held_out: &[usize],
-) -> Result<Vec<f64>, CalibrationError> {
+) -> Result<Vec<Predicted>, CalibrationError> {
     let seen: Vec<_> = data.boards.iter().filter(|seen| held_out.contains(&seen.posture)).collect();
     let (Some(board), false) = (&model.rig.board, seen.is_empty()) else { return Ok(Vec::new()) };
     let others: Vec<usize> = (0..data.postures.len()).filter(|posture| !held_out.contains(posture)).collect();
@@ -86,7 +95,8 @@ fn board_distances(
             model.rig.color.project(&(camera_from_base * point))
         };
         distances.extend(seen.corners.iter().map(|&(column, row, pixel)| {
-            expected(column, row).map_or(f64::INFINITY, |expected| (pixel - expected).norm())
+            let distance_px = expected(column, row).map_or(f64::INFINITY, |expected| (pixel - expected).norm());
+            Predicted { posture: seen.posture, distance_px }
         }));
     }
     Ok(distances)

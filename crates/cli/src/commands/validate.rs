@@ -42,9 +42,10 @@ pub struct ValidateArgs {
     /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
     pub nominal: Option<PathBuf>,
-    /// Exit with 1 where --points find the rig's status to be this or worse: bad is worse than the rig to compare with
-    /// by more than two standard errors, caution not distinguishable from it.
-    #[arg(long, value_enum, value_name = "STATUS", requires = "points")]
+    /// Exit with 1 where the rig's status is this or worse. By images: bad is no better than the data set's own rig, caution
+    /// better without explaining the recording. By --points: bad is worse than the rig to compare with by more than two
+    /// standard errors, caution not distinguishable from it.
+    #[arg(long, value_enum, value_name = "STATUS")]
     pub fail_on: Option<FailOnArg>,
     /// Seed of every random choice.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -77,7 +78,9 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
         images.iter().for_each(show);
         points.iter().for_each(validate_points::show);
     }
-    points.iter().try_for_each(|points| fail_on(args.fail_on, points))
+    let of_images = images.as_ref().map(|images| ("images", images.grade));
+    let of_points = points.as_ref().and_then(|points| Some(("points", points.comparison?.status)));
+    [of_images, of_points].into_iter().flatten().try_for_each(|(by, status)| fail_on(args.fail_on, by, status))
 }
 
 /// A rig's file, or the one in a result folder or data set.
@@ -105,15 +108,15 @@ fn by_points(path: &Path, args: &ValidateArgs, rig: &Rig, dataset: Option<&Datas
 }
 
 /// Turns a status that the caller does not accept into a failure.
-fn fail_on(limit: Option<FailOnArg>, points: &PointsValidation) -> Result<()> {
-    let (Some(limit), Some(comparison)) = (limit, points.comparison) else { return Ok(()) };
+fn fail_on(limit: Option<FailOnArg>, by: &str, status: VerdictGrade) -> Result<()> {
     let (limit, name) = match limit {
-        FailOnArg::Caution => (VerdictGrade::Caution, "caution"),
-        FailOnArg::Bad => (VerdictGrade::Bad, "bad"),
+        Some(FailOnArg::Caution) => (VerdictGrade::Caution, "caution"),
+        Some(FailOnArg::Bad) => (VerdictGrade::Bad, "bad"),
+        None => return Ok(()),
     };
-    if comparison.status >= limit {
-        let status = if comparison.status == VerdictGrade::Bad { "bad" } else { "caution" };
-        bail!("the rig's status by points is {status}, and --fail-on {name} was asked for");
+    if status >= limit {
+        let status = if status == VerdictGrade::Bad { "bad" } else { "caution" };
+        bail!("the rig's status by {by} is {status}, and --fail-on {name} was asked for");
     }
     Ok(())
 }

@@ -77,7 +77,7 @@ fn tiles(run: &RunResult) -> String {
             Some(_) => numbers.change("/held_out/metric_px/nominal", held_out, "px"),
             None => numbers.show(held_out, Digits::Whole),
         },
-        &escaped(match run.text("/held_out/figure") {
+        &escaped(match run.text("/held_out/metric") {
             "" => "residual where it was not fitted",
             figure => figure,
         }),

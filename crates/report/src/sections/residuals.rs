@@ -70,7 +70,7 @@ fn figures(run: &RunResult) -> String {
         let pointer = |which: &str| format!("/calibration/reprojection_{which}/{field}");
         row(name, "px", &pointer("before"), &pointer("after"));
     }
-    let held_out = format!("Held out: {}", escaped(run.text("/held_out/figure")));
+    let held_out = format!("Held out: {}", escaped(run.text("/held_out/metric")));
     row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
     for (name, field) in [("Depth surfaces apart, median", "median_mm"), ("Depth surfaces apart, 90 %", "p90_mm")] {
         let pointer = |which: &str| format!("/map/agreement_{which}/{field}");
@@ -121,7 +121,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
         id: "held-out",
         caption: format!(
             "Held out: {} of each group of postures under rigs that were fitted without them; calibrated is better than nominal in {} of {} groups.",
-            run.text("/held_out/figure"),
+            run.text("/held_out/metric"),
             run.number("/held_out/better_folds").unwrap_or_default(),
             folds.len()
         ),

@@ -52,5 +52,5 @@ pub use run::{Maps, Outcome, run, run_without_map, write_cloud};
 pub use scale::{RulerSummary, Scale, ScaleSource};
 pub use sentences::{cause_text, check_text, verdict_sentence};
 pub use sightings::{TrackSummary, correspondences};
-pub use validate::{Validation, validate};
+pub use validate::{PostureMetric, Validation, ValidationCase, validate};
 pub use verdict::{Evidence, VerdictCase, VerdictGrade};

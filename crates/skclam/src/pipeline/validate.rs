@@ -2,13 +2,14 @@
 
 use super::gather::{Gathered, gather};
 use super::verdict::UNEXPLAINED_PX;
-use super::{Config, RunError, SurfaceAgreement, localize, surface_agreement};
+use super::{Config, RunError, SurfaceAgreement, VerdictGrade, localize, surface_agreement};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
     BundleOptions, Comparison, Correspondences, EpipolarStatistics, Free, Model, MountComponent, Parameter,
-    PostureErrorPolicy, PriorPolicy, ReprojectionStatistics, Rigs, calibrate_bundle, compare_models,
+    PostureErrorPolicy, PriorPolicy, RecordingComparison, ReprojectionStatistics, Rigs, calibrate_bundle,
+    compare_on_recording, held_out_groups,
 };
 use skclam_geometry::Isometry3;
 use skclam_rig::Rig;
@@ -18,6 +19,10 @@ use skclam_rig::Rig;
 pub struct Validation {
     /// The judgement in one sentence.
     pub verdict: String,
+    /// What the case calls for.
+    pub grade: VerdictGrade,
+    /// The case.
+    pub case: ValidationCase,
     /// Name of the rig under test.
     pub rig: String,
     /// What was fitted anew on this recording, for both rigs alike; "" for nothing.
@@ -26,20 +31,60 @@ pub struct Validation {
     pub postures: usize,
     /// Pair matches.
     pub matches: usize,
-    /// Sights of points followed over several images.
+    /// Observations of points followed over several images.
     pub observations: usize,
-    /// By which figure rigs are judged: "reprojection, RMS" or "epipolar distance, median".
-    pub figure: String,
-    /// That figure, px: the nominal rig of the data set and (as `calibrated`) the rig under test.
-    pub figure_px: Rigs<f64>,
-    /// Reprojection over the sights that fit one of the rigs.
+    /// By which metric rigs are judged: "reprojection, RMS" (scene and board where other arm positions saw them under the same rig) or "epipolar distance, median".
+    pub metric: String,
+    /// That metric, px: the nominal rig of the data set and (as `calibrated`) the rig under test.
+    pub metric_px: Rigs<f64>,
+    /// Reprojection over the observations that fit one of the rigs.
     pub reprojection: Rigs<ReprojectionStatistics>,
     /// Epipolar distances of the pair matches.
     pub epipolar: Rigs<EpipolarStatistics>,
     /// How far apart the depth images are; `null` without depth.
     pub depth_agreement: Option<Rigs<SurfaceAgreement>>,
+    /// Reprojection posture by posture, where the rig under test fits worst first.
+    pub by_posture: Vec<PostureMetric>,
     /// What a person should hear of.
     pub warnings: Vec<String>,
+}
+
+/// How the rigs fare in one posture.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PostureMetric {
+    /// The recording's index.
+    pub posture: u64,
+    /// RMS of the reprojection, px.
+    pub metric_px: Rigs<f64>,
+}
+
+/// What a validation found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ValidationCase {
+    /// Better than the data set's own rig, and it explains the recording.
+    Holds,
+    /// Neither better nor worse.
+    Same,
+    /// Better, but it does not explain the recording.
+    BetterButUnexplained,
+    /// It fits the images, and the depth images are less consistent.
+    DepthInconsistent,
+    /// No better.
+    NotBetter,
+}
+
+impl ValidationCase {
+    /// What it calls for.
+    pub fn grade(self) -> VerdictGrade {
+        match self {
+            ValidationCase::Holds => VerdictGrade::Good,
+            ValidationCase::Same | ValidationCase::BetterButUnexplained | ValidationCase::DepthInconsistent => {
+                VerdictGrade::Caution
+            }
+            ValidationCase::NotBetter => VerdictGrade::Bad,
+        }
+    }
 }
 
 /// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to the data set first, and
@@ -62,15 +107,21 @@ pub fn validate(
         Ok(model)
     };
     let (nominal, tested) = (fitted(&dataset.rig)?, fitted(rig)?);
-    let everything: Vec<usize> = (0..dataset.len()).collect();
-    let models = Rigs { nominal: &nominal, mount_only: None, calibrated: &tested };
-    let comparison = compare_models(models, &data, &everything, SIGMA_PX)?;
-    let figure_px = comparison.metric_px();
-    let figure = if comparison.reprojection.calibrated.observations > 0 {
+    let groups = held_out_groups(&data.postures, dataset.len());
+    let RecordingComparison { comparison, postures } =
+        compare_on_recording(&nominal, &tested, &data, &groups, SIGMA_PX)?;
+    let metric_px = comparison.metric_px();
+    let metric = if comparison.reprojection.calibrated.observations > 0 {
         "reprojection, RMS"
     } else {
         "epipolar distance, median"
     };
+    let index = |position: usize| dataset.records[position].posture.index;
+    let mut by_posture: Vec<PostureMetric> = postures
+        .into_iter()
+        .map(|(position, metric_px)| PostureMetric { posture: index(position), metric_px })
+        .collect();
+    by_posture.sort_by(|a, b| b.metric_px.calibrated.total_cmp(&a.metric_px.calibrated));
     let poses = |rig: &Rig| -> Result<Vec<Isometry3>, RunError> {
         Ok(localize(dataset, rig)?.into_iter().map(|stamped| stamped.base_from_camera).collect())
     };
@@ -79,15 +130,19 @@ pub fn validate(
     let depth_agreement =
         before.surfaces.zip(after.surfaces).map(|(nominal, calibrated)| Rigs { nominal, mount_only: None, calibrated });
     let refit = refit.map(label).unwrap_or_default();
+    let case = case(metric_px, &comparison, depth_agreement.as_ref());
     Ok(Validation {
-        verdict: verdict(figure, figure_px, &refit, &comparison, depth_agreement.as_ref()),
+        verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_agreement.as_ref()),
+        grade: case.grade(),
+        case,
+        by_posture,
         rig: rig.name.clone(),
         refit,
         postures: dataset.len(),
         matches: data.match_count(),
         observations: data.observation_count(),
-        figure: figure.to_owned(),
-        figure_px,
+        metric: metric.to_owned(),
+        metric_px,
         reprojection: comparison.reprojection,
         epipolar: comparison.epipolar,
         depth_agreement,
@@ -95,7 +150,7 @@ pub fn validate(
     })
 }
 
-/// Expected sigma of a sight, px: only for the gate beyond which a sight that fits neither rig counts as a wrong match.
+/// Expected sigma of an observation, px: only for the gate beyond which one that fits neither rig counts as a wrong match.
 const SIGMA_PX: f64 = 1.0;
 
 fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> Result<Model, RunError> {
@@ -117,42 +172,64 @@ fn label(free: &Free) -> String {
 
 /// A rig under which the depth images lie farther apart than this times the other's does not hold.
 const WORSE_AGREEMENT: f64 = 1.05;
-/// A figure over fewer of the sights says little of the rig.
-const MANY_LEFT_OUT: f64 = 0.5;
+/// A metric over fewer of the observations says little of the rig.
+const MANY_LEFT_OUT: f64 = 0.2;
+/// Reprojection beyond this is not explained, px: errors of single postures make a pixel or two.
+const UNEXPLAINED_RMS_PX: f64 = 5.0;
 
-fn verdict(
-    figure: &str,
+/// Metrics nearer to each other than this are the same.
+const SAME_PX: f64 = 1e-6;
+
+fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<SurfaceAgreement>>) -> ValidationCase {
+    let lines = comparison.epipolar.calibrated;
+    let observations = comparison.reprojection.calibrated;
+    let left_out = 1.0 - observations.inliers as f64 / observations.observations.max(1) as f64;
+    if (px.calibrated - px.nominal).abs() < SAME_PX {
+        ValidationCase::Same
+    } else if px.calibrated > px.nominal {
+        ValidationCase::NotBetter
+    } else if lines.matches > 0 && lines.median_px > UNEXPLAINED_PX
+        || observations.observations > 0 && (left_out > MANY_LEFT_OUT || observations.rms_px > UNEXPLAINED_RMS_PX)
+    {
+        ValidationCase::BetterButUnexplained
+    } else if depth.is_some_and(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_AGREEMENT) {
+        ValidationCase::DepthInconsistent
+    } else {
+        ValidationCase::Holds
+    }
+}
+
+fn sentence(
+    case: ValidationCase,
+    metric: &str,
     px: Rigs<f64>,
     refit: &str,
     comparison: &Comparison,
     depth: Option<&Rigs<SurfaceAgreement>>,
 ) -> String {
     let with = if refit.is_empty() { String::new() } else { format!(", after fitting {refit} of both anew") };
-    let sights = comparison.reprojection.calibrated;
-    let left_out = 1.0 - sights.inliers as f64 / sights.observations.max(1) as f64;
-    let share = match sights.observations {
+    let observations = comparison.reprojection.calibrated;
+    let left_out = 1.0 - observations.inliers as f64 / observations.observations.max(1) as f64;
+    let share = match observations.observations {
         0 => String::new(),
-        _ => format!(", without the {:.0} % of the sights that fit neither", 100.0 * left_out),
+        _ => format!(", without the {:.0} % of the observations that fit neither", 100.0 * left_out),
     };
-    let figures =
-        format!("{figure}: {:.2} px, the data set's own rig {:.2} px{share}{with}", px.calibrated, px.nominal);
-    let lines = comparison.epipolar.calibrated;
-    if px.calibrated >= px.nominal {
-        format!("The rig does NOT beat the data set's own on this recording ({figures}).")
-    } else if lines.matches > 0 && lines.median_px > UNEXPLAINED_PX
-        || sights.observations > 0 && left_out > MANY_LEFT_OUT
-    {
-        format!(
-            "The rig is better than the data set's own, but it does NOT explain this recording: matches keep {:.1} px from their lines in the median ({figures}).",
-            lines.median_px
-        )
-    } else if let Some(depth) = depth.filter(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_AGREEMENT) {
-        format!(
-            "The rig fits the images, but NOT the depth: its depth images lie {:.1} mm apart, those of the data set's own rig {:.1} mm; is its scale right? ({figures}).",
-            depth.calibrated.median_mm, depth.nominal.median_mm
-        )
-    } else {
-        format!("The rig holds on this recording ({figures}).")
+    let metrics =
+        format!("{metric}: {:.2} px, the data set's own rig {:.2} px{share}{with}", px.calibrated, px.nominal);
+    match case {
+        ValidationCase::Holds => format!("The rig holds on this recording ({metrics})."),
+        ValidationCase::Same => format!("The rig fits this recording exactly as the data set's own does ({metrics})."),
+        ValidationCase::NotBetter => format!("The rig does NOT beat the data set's own on this recording ({metrics})."),
+        ValidationCase::BetterButUnexplained => {
+            format!("The rig is better than the data set's own, but it does NOT explain this recording ({metrics}).")
+        }
+        ValidationCase::DepthInconsistent => {
+            let mm = depth.map_or([0.0; 2], |depth| [depth.calibrated.median_mm, depth.nominal.median_mm]);
+            format!(
+                "The rig fits the images, but NOT the depth: its depth images lie {:.1} mm apart, those of the data set's own rig {:.1} mm ({metrics}).",
+                mm[0], mm[1]
+            )
+        }
     }
 }
 
@@ -165,19 +242,30 @@ mod tests {
         fn rigs<T>(nominal: T, calibrated: T) -> Rigs<T> {
             Rigs { nominal, mount_only: None, calibrated }
         }
-        let said = |median_px: f64, inliers: usize, apart: f64| {
+        let found = |px: [f64; 2], median_px: f64, inliers: usize, rms_px: f64, apart: f64| {
             let lines = EpipolarStatistics { matches: 100, median_px, ..Default::default() };
-            let sights = ReprojectionStatistics { observations: 100, inliers, ..Default::default() };
-            let comparison = Comparison { reprojection: rigs(sights, sights), epipolar: rigs(lines, lines) };
+            let observations = ReprojectionStatistics { observations: 100, inliers, rms_px, ..Default::default() };
+            let comparison =
+                Comparison { reprojection: rigs(observations, observations), epipolar: rigs(lines, lines) };
             let surfaces = |median_mm| SurfaceAgreement { median_mm, ..Default::default() };
             let depth = rigs(surfaces(5.0), surfaces(apart));
-            verdict("reprojection, RMS", rigs(9.0, 1.0), "", &comparison, Some(&depth))
+            let px = rigs(px[0], px[1]);
+            let case = case(px, &comparison, Some(&depth));
+            (case, sentence(case, "reprojection, RMS", px, "", &comparison, Some(&depth)))
         };
-        assert!(
-            said(0.2, 95, 5.0).starts_with("The rig holds") && said(0.2, 95, 5.0).contains("the 5 % of the sights")
-        );
-        assert!(said(3.0, 95, 5.0).contains("does NOT explain"));
-        assert!(said(0.2, 30, 5.0).contains("does NOT explain"));
-        assert!(said(0.2, 95, 9.0).contains("NOT the depth"));
+        use ValidationCase::{BetterButUnexplained, DepthInconsistent, Holds, NotBetter, Same};
+        let rows = [
+            (found([9.0, 1.0], 0.2, 95, 1.0, 5.0), Holds, VerdictGrade::Good, "without the 5 % of the observations"),
+            (found([9.0, 1.0], 3.0, 95, 1.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
+            (found([9.0, 1.0], 0.2, 30, 1.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
+            (found([9.0, 6.0], 0.2, 95, 6.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
+            (found([9.0, 1.0], 0.2, 95, 1.0, 9.0), DepthInconsistent, VerdictGrade::Caution, "NOT the depth"),
+            (found([1.0, 2.0], 0.2, 95, 1.0, 5.0), NotBetter, VerdictGrade::Bad, "does NOT beat"),
+            (found([1.0, 1.0], 0.2, 95, 1.0, 5.0), Same, VerdictGrade::Caution, "exactly as"),
+        ];
+        for ((case, said), expected, grade, says) in rows {
+            assert_eq!((case, case.grade()), (expected, grade), "{said}");
+            assert!(said.contains(says), "{said}");
+        }
     }
 }
