@@ -111,7 +111,10 @@ impl Free {
                 list.extend(Intrinsic::ALL[..intrinsics].iter().copied().map(Parameter::Intrinsic));
                 if has_depth {
                     list.extend([Parameter::DepthScale, Parameter::DepthOffset]);
-                    list.extend(MountComponent::ALL.map(Parameter::DepthExtrinsic));
+                    // Along the optical axis the depth camera's place is its offset by another name.
+                    let along = MountComponent::TranslationZ;
+                    let place = MountComponent::ALL.into_iter().filter(|of| *self == Free::All || *of != along);
+                    list.extend(place.map(Parameter::DepthExtrinsic));
                 }
                 if rig.board.is_some() {
                     list.push(Parameter::BoardScale);
@@ -287,7 +290,7 @@ mod tests {
         let list = Free::Auto.candidates(&hp3j(), true, false).unwrap();
         assert_eq!(list.iter().filter(|parameter| !parameter.is_nuisance()).count(), 24);
         assert_eq!(list.len(), 24 + 8, "and the camera's intrinsics");
-        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 32 + 8, "and what the depth may be off");
+        assert_eq!(Free::Auto.candidates(&hp3j(), true, true).unwrap().len(), 32 + 7, "and what the depth may be off");
     }
 
     #[test]
@@ -295,12 +298,12 @@ mod tests {
         let rig = hp3j();
         let free = Free::parse("auto, gears,mount_x", &rig).unwrap();
         let list = free.candidates(&rig, true, true).unwrap();
-        assert_eq!(list.len(), 40 + 12, "the mount's x is there already");
-        assert_eq!(list[..40], Free::Auto.candidates(&rig, true, true).unwrap());
+        assert_eq!(list.len(), 39 + 12, "the mount's x is there already");
+        assert_eq!(list[..39], Free::Auto.candidates(&rig, true, true).unwrap());
         assert_eq!(free.to_string().parse::<Free>().unwrap(), free);
         assert!(free.is_open() && Free::parse("all,compliance", &rig).unwrap().is_open());
         let angles = Free::parse("auto,angles", &rig).unwrap().candidates(&rig, true, true).unwrap();
-        assert_eq!(angles.len(), 41, "theta_offset_6 is the gauge, which auto leaves out");
+        assert_eq!(angles.len(), 40, "theta_offset_6 is the gauge, which auto leaves out");
         for bad in ["auto,", "gears,auto", "auto,auto", ",", ""] {
             assert!(Free::parse(bad, &rig).is_err(), "{bad:?}");
         }

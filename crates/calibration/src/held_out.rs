@@ -65,6 +65,9 @@ pub struct Fold {
     pub comparison: Comparison,
     /// The free parameters of the fit less their nominal values, in their order and units.
     pub offsets: Vec<f64>,
+    /// Normal matrix of the data that the fit had by the free parameters, everything else eliminated; `None` but for the bundle adjustment.
+    #[serde(skip)]
+    pub normal: Option<DMatrix<f64>>,
 }
 
 impl Fold {
@@ -324,8 +327,9 @@ pub fn cross_validate(
         };
         let comparison = compare_trained(rigs, data, held_out, fitted.noise.pixel)?;
         let offsets = fitted.parameters.iter().map(|estimate| estimate.value - estimate.nominal).collect();
+        let normal = fitted.posterior.as_ref().map(|inputs| inputs.likelihood.normal.clone());
         done();
-        Ok(Fold { held_out: held_out.clone(), comparison, offsets })
+        Ok(Fold { held_out: held_out.clone(), comparison, offsets, normal })
     };
     let folds = groups.par_iter().map(one).collect::<Result<Vec<_>, CalibrationError>>()?;
     Ok(CrossValidation {
@@ -350,7 +354,10 @@ pub struct Jackknife {
     pub variance_factor: f64,
 }
 
-/// The delete-a-group jackknife over the folds' fits, beside what the covariance of `whole` (the same estimate on all of the same data) claims. `None` without
+/// No group is taken for a larger part of the information.
+const MOST_OF_THE_INFORMATION: f64 = 0.7;
+
+/// The delete-a-group jackknife over the folds' fits (groups that weigh more than their number: Busing, Meijer and van der Leeden, "Delete-m jackknife for unequal m", 1999), beside what the covariance of `whole` (the same estimate on all of the same data) claims. `None` without
 /// a covariance of the bundle adjustment, or with fewer than three folds.
 pub fn jackknife(
     nominal: &Rig,
@@ -366,10 +373,16 @@ pub fn jackknife(
     let count = folds.len() as f64;
     let offsets = |fold: &Fold| DVector::from_column_slice(&fold.offsets);
     let mean = folds.iter().map(offsets).sum::<DVector<f64>>() / count;
+    // A group takes tracks with it that it shared with others: what it has of the information is more than its part of the postures. Sigmas that are estimated anew in
+    // each fold make single parts uncertain, so that their mean counts, which cannot be less than that of equal groups.
+    let information = |normal: &DMatrix<f64>| claimed.component_mul(normal).sum();
+    let all = information(&inputs.likelihood.normal);
+    let parts = folds.iter().filter_map(|fold| fold.normal.as_ref()).map(|normal| 1.0 - information(normal) / all);
+    let part = (parts.sum::<f64>() / count).clamp(1.0 / count, MOST_OF_THE_INFORMATION);
     let mut scatter = DMatrix::zeros(parameters.len(), parameters.len());
     for fold in folds {
         let away = offsets(fold) - &mean;
-        scatter += &away * away.transpose() * ((count - 1.0) / count);
+        scatter += &away * away.transpose() * ((1.0 / part - 1.0) / count);
     }
     let variance =
         |covariance: &DMatrix<f64>| aligned_position_variance(nominal, &whole.model, &parameters, covariance, postures);

@@ -7,8 +7,9 @@ use super::VerdictGrade;
 use crate::dataset::Dataset;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    Calibration, ErrorPattern, Intrinsic, MountComponent, Parameter, PatternFinding, Unit, Warning,
+    Calibration, ErrorPattern, Intrinsic, MountComponent, Parameter, PatternFinding, Unit, Warning, arm_positions,
 };
+use skclam_rig::Posture;
 
 /// A device, or a part of the rig, whose description can be wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -86,6 +87,13 @@ pub enum Cause {
         /// What is expected at most.
         tolerance_per_m: f64,
     },
+    /// Too few arm positions for what was freed.
+    FewPostures {
+        /// Arm positions with observations.
+        positions: usize,
+        /// How many there should be at least.
+        needed: usize,
+    },
     /// Joints are off in every posture anew by more than encoders, gears and bending make.
     PostureNoise {
         /// Sigma of a joint, deg.
@@ -117,7 +125,7 @@ impl Cause {
         match self {
             Cause::Beyond { chi_squared, .. } | Cause::Pattern { chi_squared, .. } => *chi_squared,
             Cause::Ruler { scale_error_percent, sigma_percent, .. } => (scale_error_percent / sigma_percent).powi(2),
-            Cause::DepthNoise { .. } | Cause::PostureNoise { .. } => 0.0,
+            Cause::FewPostures { .. } | Cause::DepthNoise { .. } | Cause::PostureNoise { .. } => 0.0,
         }
     }
 }
@@ -131,6 +139,7 @@ pub fn causes(dataset: &Dataset, calibration: &Calibration) -> Vec<Cause> {
     if let Some(sigma_per_m) = calibration.noise.depth_per_m.filter(|sigma| *sigma > DEPTH_TOLERANCE_PER_M) {
         found.push(Cause::DepthNoise { sigma_per_m, tolerance_per_m: DEPTH_TOLERANCE_PER_M });
     }
+    found.extend(few_postures(dataset, calibration));
     let sigma_deg = calibration.noise.posture_angular.unwrap_or(0.0).to_degrees();
     if dataset.has_joints() && sigma_deg > JOINT_TOLERANCE_DEG {
         found.push(Cause::PostureNoise { sigma_deg, tolerance_deg: JOINT_TOLERANCE_DEG });
@@ -184,6 +193,25 @@ fn beyond(calibration: &Calibration) -> Vec<Cause> {
         }
     }
     found
+}
+
+/// Each arm position tells six numbers; a redundancy of four leaves enough to tell errors of single postures from those of the arm.
+const REDUNDANCY: usize = 4;
+
+fn few_postures(dataset: &Dataset, calibration: &Calibration) -> Option<Cause> {
+    let of_arm = |parameter: Parameter| matches!(parameter, Parameter::Chain(_));
+    if !calibration.parameters.iter().any(|estimate| of_arm(estimate.parameter)) {
+        return None;
+    }
+    let postures: Vec<Posture> = dataset.records.iter().map(|record| record.posture.clone()).collect();
+    let mut positions = arm_positions(&postures);
+    let mut observed = calibration.postures.iter().map(|fit| fit.observations > 0);
+    positions.retain(|_| observed.next().unwrap_or(false));
+    positions.sort_unstable();
+    positions.dedup();
+    let unknown = calibration.parameters.iter().filter(|estimate| !estimate.parameter.is_nuisance()).count();
+    let needed = (REDUNDANCY * unknown).div_ceil(6);
+    (positions.len() < needed).then_some(Cause::FewPostures { positions: positions.len(), needed })
 }
 
 fn ruler(calibration: &Calibration) -> Option<Cause> {

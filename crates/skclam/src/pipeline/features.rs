@@ -18,6 +18,8 @@ pub struct ImageFeatures {
     pub undistorted: Vec<Pixel>,
     /// Keypoint by keypoint, z-depth in the colour camera's frame, metres, where it was measured.
     pub depth_m: Vec<Option<f64>>,
+    /// How that depth changes with the normalised image coordinates, m; zeros where it is not known.
+    pub depth_slope: Vec<[f64; 2]>,
     /// The grey image, for the refinement; `None` where all of them together would take too much memory.
     pub gray: Option<GrayImage>,
     /// What the view should show by the nominal rig.
@@ -73,17 +75,17 @@ fn one_image(
         (Some(depth), Some(depth_camera)) => RegisteredDepth::new(depth, depth_camera, camera),
         _ => None,
     };
-    let depth_m = match &registered {
-        Some(registered) => pixels.iter().map(|pixel| registered.at(pixel)).collect(),
-        None => vec![None; pixels.len()],
-    };
+    let sample = |pixel: &Pixel| registered.as_ref().and_then(|registered| registered.sample_at(pixel));
+    let samples: Vec<_> = pixels.iter().map(sample).collect();
+    let depth_m = samples.iter().map(|sample| sample.map(|sample| sample.depth_m)).collect();
+    let depth_slope = samples.iter().map(|s| s.and_then(|s| s.slope_m).unwrap_or_default()).collect();
     let view = match (&depth, &dataset.rig.depth) {
         (Some(depth), Some(depth_camera)) if registered.is_some() => {
             PredictedView::from_depth(base_from_color, depth, depth_camera)
         }
         _ => PredictedView::from_assumed_depth(base_from_color, camera, config.pairing.assumed_depth_m),
     };
-    Ok(ImageFeatures { features, undistorted, depth_m, gray: keep_gray.then_some(gray), view })
+    Ok(ImageFeatures { features, undistorted, depth_m, depth_slope, gray: keep_gray.then_some(gray), view })
 }
 
 impl ImageFeatures {
@@ -95,6 +97,7 @@ impl ImageFeatures {
         retain_marked(&mut self.features.descriptors, &accepted);
         retain_marked(&mut self.undistorted, &accepted);
         retain_marked(&mut self.depth_m, &accepted);
+        retain_marked(&mut self.depth_slope, &accepted);
         accepted.iter().filter(|accepted| !**accepted).count()
     }
 }

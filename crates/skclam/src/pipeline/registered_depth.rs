@@ -14,8 +14,10 @@ use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera, Pixel, 
 /// The window reaches so many pixels from its centre. A larger one averages more, but what neighbours have in common it
 /// cannot, and steps too small to be told from noise bend its plane at more of the features.
 const HALF_WINDOW: i64 = 1;
-/// Least number of the window's pixels with a value.
-const MIN_READINGS: u32 = 7;
+/// The window that a slope is read from: nine readings would tell it only to `0.4 s f z^2` (noise `s z^2`, focal length `f` of the depth camera), 81 tell it nine times better.
+const SLOPE_HALF_WINDOW: i64 = 4;
+/// Least part of a window's pixels with a value.
+const MIN_READINGS: f64 = 0.75;
 /// Largest sum of squares of what the plane leaves, in sigmas of a reading's own noise and a degree of freedom: a
 /// window of one surface passes it in 97 of 100 cases (chi squared with six degrees of freedom).
 const MAX_SQUARES: f64 = 2.3;
@@ -36,14 +38,9 @@ pub struct DepthSample {
     /// Standard deviation relative to that of a single reading of the image: the fit averages what neighbours do not
     /// have in common.
     pub relative_sigma: f64,
-}
-
-impl DepthSample {
-    /// How z-depth changes with the normalised coordinates x and y of the colour image, m. Nine readings tell it roughly: of a sensor with
-    /// `sigma = s z^2` it has a noise of about `0.4 s f z^2`, with the depth camera's focal length `f` in px.
-    pub fn slope_m(&self) -> [f64; 2] {
-        self.inverse_depth_gradient.map(|gradient| -gradient * self.depth_m * self.depth_m)
-    }
+    /// How z-depth changes with the normalised coordinates x and y of the colour image, m; `None` where a window that is wide enough to tell it well meets
+    /// more than one plane.
+    pub slope_m: Option<[f64; 2]>,
 }
 
 /// A depth image that answers for pixels of the colour image.
@@ -70,6 +67,7 @@ struct Noise {
 #[derive(Debug, Clone, Copy)]
 struct Window {
     centre: [i64; 2],
+    half: i64,
     inverse_depth: f64,
     by_pixel: Vector2<f64>,
     /// Inverse of the normal matrix for (1, x, y).
@@ -113,7 +111,7 @@ impl<'a> RegisteredDepth<'a> {
         let mut tried = None;
         for _ in 0..MAX_ITERATIONS {
             let centre = [at.x.round() as i64, at.y.round() as i64];
-            let window = self.fit(centre)?;
+            let window = self.fit(centre, HALF_WINDOW)?;
             let plane = self.plane_in_color(&window)?;
             let inverse_depth = plane.dot(ray);
             if inverse_depth <= 0.0 {
@@ -132,6 +130,7 @@ impl<'a> RegisteredDepth<'a> {
                     depth_m: 1.0 / inverse_depth,
                     inverse_depth_gradient: [plane.x, plane.y],
                     relative_sigma: (1.0 - self.noise.own_share + own).sqrt(),
+                    slope_m: self.slope(centre, 1.0 / inverse_depth),
                 });
             }
             tried = Some(centre);
@@ -140,13 +139,19 @@ impl<'a> RegisteredDepth<'a> {
         None
     }
 
+    fn slope(&self, centre: [i64; 2], depth_m: f64) -> Option<[f64; 2]> {
+        let window = self.fit(centre, SLOPE_HALF_WINDOW).filter(|window| self.is_whole(window))?;
+        let plane = self.plane_in_color(&window)?;
+        Some([plane.x, plane.y].map(|gradient| -gradient * depth_m * depth_m))
+    }
+
     fn seen_at(&self, ray: &Vector3<f64>, z_m: f64) -> Option<Pixel> {
         self.depth_camera.camera.project(&(self.depth_from_color * Point3::from(ray * z_m)))
     }
 
     /// The readings of a window: offset from its centre and inverse depth.
-    fn readings(&self, [column, row]: [i64; 2]) -> impl Iterator<Item = (Vector2<f64>, f64)> + '_ {
-        let offsets = (-HALF_WINDOW..=HALF_WINDOW).flat_map(|dy| (-HALF_WINDOW..=HALF_WINDOW).map(move |dx| (dx, dy)));
+    fn readings(&self, [column, row]: [i64; 2], half: i64) -> impl Iterator<Item = (Vector2<f64>, f64)> + '_ {
+        let offsets = (-half..=half).flat_map(move |dy| (-half..=half).map(move |dx| (dx, dy)));
         offsets.filter_map(move |(dx, dy)| {
             let z = self.depth.at(u32::try_from(column + dx).ok()?, u32::try_from(row + dy).ok()?)?;
             Some((Vector2::new(dx as f64, dy as f64), 1.0 / f64::from(z)))
@@ -154,20 +159,20 @@ impl<'a> RegisteredDepth<'a> {
     }
 
     /// The plane through a window; `None` where too few pixels have a value.
-    fn fit(&self, centre: [i64; 2]) -> Option<Window> {
+    fn fit(&self, centre: [i64; 2], half: i64) -> Option<Window> {
         let (mut normal, mut right, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0u32);
-        for (offset, inverse) in self.readings(centre) {
+        for (offset, inverse) in self.readings(centre, half) {
             let basis = Vector3::new(1.0, offset.x, offset.y);
             normal += basis * basis.transpose();
             right += basis * inverse;
             count += 1;
         }
-        if count < MIN_READINGS {
+        if f64::from(count) < MIN_READINGS * ((2 * half + 1) * (2 * half + 1)) as f64 {
             return None;
         }
         let cofactors = normal.try_inverse()?;
         let plane = cofactors * right;
-        Some(Window { centre, inverse_depth: plane.x, by_pixel: plane.yz(), cofactors })
+        Some(Window { centre, half, inverse_depth: plane.x, by_pixel: plane.yz(), cofactors })
     }
 
     /// Whether the readings lie on their plane as far as the noise lets one tell.
@@ -177,7 +182,7 @@ impl<'a> RegisteredDepth<'a> {
         let least = LEAST_RELATIVE_SIGMA * window.inverse_depth;
         let sigma = self.noise.own_sigma.hypot(rounding).max(least);
         let (mut sum, mut count) = (0.0, 0u32);
-        for (offset, inverse) in self.readings(window.centre) {
+        for (offset, inverse) in self.readings(window.centre, window.half) {
             let off = (inverse - window.inverse_depth - window.by_pixel.dot(&offset)) / sigma;
             sum += off * off;
             count += 1;
@@ -266,7 +271,7 @@ mod tests {
             let [x, y] = sample.inverse_depth_gradient;
             assert!((x - normal.x / offset).abs() < 1e-4 && (y - normal.y / offset).abs() < 1e-4);
             let beside = slope_along_x(&color, &normal, offset, &pixel);
-            assert!((sample.slope_m()[0] - beside).abs() < 1e-3);
+            assert!((sample.slope_m.unwrap()[0] - beside).abs() < 1e-3);
             assert!(sample.relative_sigma < 0.7, "nine readings of their own noise: {}", sample.relative_sigma);
         }
         assert_eq!(registered.at(&Pixel::new(-5000.0, 0.0)), None);

@@ -156,6 +156,9 @@ pub fn cause_text(cause: &Cause) -> String {
             plain(sigma_per_m * 1e3),
             plain(tolerance_per_m * 1e3)
         ),
+        Cause::FewPostures { positions, needed } => format!(
+            "there are too few postures: {positions} arm positions, where {needed} or more are needed for what was freed"
+        ),
         Cause::PostureNoise { sigma_deg, tolerance_deg } => format!(
             "joints are off by {} deg in every posture anew, where {} deg is much: were joints and images taken while the arm stood still?",
             plain(*sigma_deg),

@@ -81,7 +81,7 @@ pub fn correspondences(
                     pixel,
                     covariance,
                     depth_m: images[posture].depth_m[keypoint],
-                    depth_slope: [0.0; 2],
+                    depth_slope: images[posture].depth_slope[keypoint],
                 })
             })
             .collect();
