@@ -52,7 +52,8 @@ fn main() {
     let angles =
         Errors { angle: 1f64.to_radians(), length: 0.0, mount_angle: 0.0, mount_length: 0.0, fixed_size: true };
     let rgbd = Sensing { depth_relative: Some(0.01 / 2.25 * 1.5), ..half_pixel() };
-    let all: Vec<Parameter> = Free::Auto.candidates(&hp3j(), true, false).expect("the arm's own parameters");
+    let mut all: Vec<Parameter> = Free::Auto.candidates(&hp3j(), true, false).expect("the arm's own parameters");
+    all.retain(|parameter| !parameter.is_nuisance());
     let scene = |free: &Free, errors: Errors, diverse: usize, sensing: Sensing| {
         let mut rng = seeded(2026);
         let truth = perturbed(&hp3j(), free, errors, &mut rng);
