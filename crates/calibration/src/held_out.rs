@@ -10,7 +10,7 @@
 //! model of the noise.
 
 use crate::bundle::{OUTLIER_SIGMAS, Predicted, predicted_distances};
-use crate::pose_covariance::aligned_position_variance;
+use crate::pose_covariance::AlignedVariance;
 use crate::robust::median;
 use crate::{
     Calibration, CalibrationError, Correspondences, EpipolarStatistics, Model, Parameter, ReprojectionStatistics,
@@ -350,7 +350,8 @@ pub struct Jackknife {
     pub scattered_m: f64,
     /// The same as the covariance claims it, without the standard of length, which all folds share.
     pub claimed_m: f64,
-    /// By how much the variance of the observations has to be larger, so that the covariance claims no less than the scatter; at least 1.
+    /// By how much the variance of the observations has to be larger, so that the covariance claims no less than the scatter; 1 where the scatter is not larger than the claim by
+    /// more than chance makes it once in a hundred times.
     pub variance_factor: f64,
 }
 
@@ -384,33 +385,40 @@ pub fn jackknife(
         let away = offsets(fold) - &mean;
         scatter += &away * away.transpose() * ((1.0 / part - 1.0) / count);
     }
-    let variance =
-        |covariance: &DMatrix<f64>| aligned_position_variance(nominal, &whole.model, &parameters, covariance, postures);
-    let (scattered, claimed) = (variance(&scatter)?, variance(&claimed)?);
+    let aligned = AlignedVariance::new(nominal, &whole.model, &parameters, postures)?;
+    let freedom = aligned.degrees_of_freedom(&claimed) * (count - 1.0);
+    let (scattered, claimed) = (aligned.of(&scatter), aligned.of(&claimed));
     if !(scattered.is_finite() && claimed > 0.0) {
         return Ok(None);
     }
-    let at = |factor: f64| -> Result<f64, CalibrationError> {
-        let Some(known) = inputs.tempered(factor).posterior() else { return Ok(f64::INFINITY) };
+    let at = |factor: f64| -> f64 {
+        let Some(known) = inputs.tempered(factor).posterior() else { return f64::INFINITY };
         let of_ruler = known
             .ruler
             .map(|ruler| ruler.covariance * (ruler.sigma.powi(2) / (ruler.sigma.powi(2) + ruler.away_squared)));
-        variance(&match of_ruler {
+        aligned.of(&match of_ruler {
             Some(part) => known.own - part,
             None => known.own,
         })
     };
     let mut factor = 1.0;
-    if scattered > claimed {
+    if scattered > claimed * chance_ratio(freedom) {
         // The claim grows with the factor until the priors alone hold it.
         let (mut low, mut high) = (0.0, MOST_FACTOR.ln());
         for _ in 0..30 {
             let middle: f64 = 0.5 * (low + high);
-            if at(middle.exp())? < scattered { low = middle } else { high = middle }
+            if at(middle.exp()) < scattered { low = middle } else { high = middle }
         }
         factor = high.exp();
     }
     Ok(Some(Jackknife { scattered_m: scattered.sqrt(), claimed_m: claimed.sqrt(), variance_factor: factor }))
+}
+
+/// Ratio of an estimated variance of so many degrees of freedom to the true one that chance alone exceeds once in a hundred times (Wilson and Hilferty 1931).
+fn chance_ratio(freedom: f64) -> f64 {
+    const QUANTILE: f64 = 2.326;
+    let spread = 2.0 / (9.0 * freedom.max(1.0));
+    (1.0 - spread + QUANTILE * spread.sqrt()).powi(3)
 }
 
 /// Observations that are worth less than by this factor of their variance say nothing.
@@ -490,7 +498,7 @@ mod tests {
         let RecordingComparison { comparison, .. } =
             compare_on_recording(&nominal_model, &truth_model, &pairs, &groups, 0.5).unwrap();
         assert_eq!(comparison.reprojection.calibrated.observations, 0);
-        let fold = Fold { held_out: groups[1].clone(), comparison, offsets: Vec::new() };
+        let fold = Fold { held_out: groups[1].clone(), comparison, offsets: Vec::new(), normal: None };
         assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");
     }
 

@@ -127,15 +127,30 @@ impl AlignedCameras {
     }
 }
 
-/// The mean variance (m^2) of the camera's position over some postures under a covariance of the parameters, the base frame fitted to them.
-pub(crate) fn aligned_position_variance(
-    nominal: &Rig,
-    model: &Model,
-    parameters: &[Parameter],
-    covariance: &DMatrix<f64>,
-    postures: &[Posture],
-) -> Result<f64, CalibrationError> {
-    Ok(AlignedCameras::new(nominal, model, parameters, postures)?.variance(covariance))
+/// The mean variance (m^2) of the camera's position over some postures under covariances of the parameters, the base frame fitted to them.
+pub(crate) struct AlignedVariance {
+    cameras: AlignedCameras,
+}
+
+impl AlignedVariance {
+    pub(crate) fn new(
+        nominal: &Rig,
+        model: &Model,
+        parameters: &[Parameter],
+        postures: &[Posture],
+    ) -> Result<Self, CalibrationError> {
+        Ok(AlignedVariance { cameras: AlignedCameras::new(nominal, model, parameters, postures)? })
+    }
+
+    pub(crate) fn of(&self, covariance: &DMatrix<f64>) -> f64 {
+        self.cameras.variance(covariance)
+    }
+
+    /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions (Satterthwaite 1946).
+    pub(crate) fn degrees_of_freedom(&self, covariance: &DMatrix<f64>) -> f64 {
+        let product = self.cameras.jacobian.tr_mul(&self.cameras.jacobian) * covariance;
+        product.trace().powi(2) / (&product * &product).trace().max(f64::MIN_POSITIVE)
+    }
 }
 
 /// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame fitted to them.

@@ -156,12 +156,6 @@ impl Priors {
         Priors { sigmas: vec![None; parameters], groups: vec![None; parameters] }
     }
 
-    /// The same with every sigma as it is: before there are data, nothing speaks for another.
-    pub(crate) fn with_known_scales(mut self) -> Self {
-        self.groups.fill(None);
-        self
-    }
-
     /// The sigma of a group that is estimated; `None` where there is no such group.
     pub(crate) fn group_sigma(&self, group: PriorGroup) -> Option<f64> {
         let at = self.groups.iter().position(|of| *of == Some(group))?;

@@ -3,7 +3,7 @@
 //! The information about the parameters does not depend on what was measured, only on where the measurements are made. So sights predicted
 //! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
 
-use crate::bundle::adjust::{Adjustment, inverse, marginal, posed_state};
+use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::Balance;
 use crate::bundle::observations::Observations;
 use crate::bundle::posterior::{Likelihood, PosteriorInputs};
@@ -91,8 +91,7 @@ pub fn expected_calibration(
     let limits = BundleOptions { posture_errors, max_posture_errors: options.max_posture_errors, ..Default::default() };
     let errors = PostureErrorModel::new(nominal, &motion, &limits, &mut Vec::new());
     let noise = NoiseScales { pixel: options.pixel_sigma, depth: options.depth_sigma_per_m, posture: errors.first };
-    // Data that have not been taken do not say what the arm is made to: no offsets at all would pass for evidence of a perfect one.
-    let priors = Priors::new(nominal, &options.free, options.priors, &parameters).with_known_scales();
+    let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let model = Model::new(nominal.clone());
     let mut state = posed_state(
         &model,
@@ -133,9 +132,9 @@ pub fn expected_calibration(
     priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
     let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
     let inputs = PosteriorInputs { likelihood, prior_normal, priors: priors.clone(), ruler, held: true };
-    // Predicted data lie at the nominal arm and would say that it has no errors: the sigmas of its prior groups stay at their medians.
-    let precision = &inputs.likelihood.normal + &inputs.prior_normal;
-    let covariance = inverse(&precision).unwrap_or_else(|| covariance(&precision, &parameters));
+    // Predicted data lie at the nominal arm and would say that it has no errors: what arms are made to is averaged over instead.
+    let nearest = || covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), &parameters);
+    let covariance = inputs.expected_covariance().unwrap_or_else(nearest);
     let normal = inputs.with_instruments(&parameters);
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);

@@ -54,6 +54,27 @@ impl PosteriorInputs {
         normal
     }
 
+    /// The covariance to be expected before anything was measured: the average over what arms may be made to.
+    pub(crate) fn expected_covariance(&self) -> Option<DMatrix<f64>> {
+        let weight = |sigma: Option<f64>| sigma.map_or(0.0, |sigma| sigma.powi(-2));
+        let count = self.likelihood.offsets.len();
+        let (mut sum, mut total) = (DMatrix::zeros(count, count), 0.0);
+        for (angles, lengths) in grid(&self.priors) {
+            let mut these = self.priors.clone();
+            let mut log_weight = 0.0;
+            for (group, sigma) in [(PriorGroup::Angles, angles), (PriorGroup::Lengths, lengths)] {
+                let Some(sigma) = sigma else { continue };
+                these.set_group_sigma(group, sigma);
+                log_weight -= 0.5 * ((sigma / group.median()).ln() / LOG_SPREAD).powi(2);
+            }
+            let change = DVector::from_fn(count, |k, _| weight(these.sigmas[k]) - weight(self.priors.sigmas[k]));
+            let precision = &self.likelihood.normal + &self.prior_normal + DMatrix::from_diagonal(&change);
+            sum += inverse(&precision)? * log_weight.exp();
+            total += log_weight.exp();
+        }
+        Some(sum / total)
+    }
+
     /// The same with observations that are worth less by a factor of their variance: what a parameter is known to beyond its prior, it is known to less.
     pub(crate) fn tempered(&self, variance_factor: f64) -> Self {
         let mut tempered = self.clone();
