@@ -1,9 +1,11 @@
-//! Which gross mistake explains a recording that its rig does not explain at all: each is undone in turn, and what the images then say decides.
+//! Which gross mistake explains a recording that its rig does not explain at all: each is undone in turn, and what the
+//! images then say decides.
 //!
-//! Matches are gathered anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis is held against the turns of the camera that the
-//! matches of single pairs tell ([`screening`]: microseconds each); the most promising ones, and the data as they stand, get the mount that fits them best, found
-//! from nothing ([`find_mount`]), and are compared by the median Sampson distance of the same matches. A mistake is named only where undoing it is better by a clear factor,
-//! and better than anything else.
+//! Matches are gathered anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
+//! is held against the turns of the camera that the matches of single pairs tell ([`screening`]: microseconds each);
+//! the most promising ones, and the data as they stand, get the mount that fits them best, found from nothing
+//! ([`find_mount`]), and are compared by the median Sampson distance of the same matches. A mistake is named only where
+//! undoing it is better by a clear factor, and better than anything else.
 
 mod candidates;
 mod depth_shift;
@@ -84,13 +86,16 @@ pub enum GrossCause {
 pub struct GrossFinding {
     /// Which.
     pub cause: GrossCause,
-    /// Median Sampson distance of the matches with the data as they stand, the mount fitted (but for [`GrossCause::MountFarOff`]: with the rig's), px.
-    pub before_px: f64,
-    /// The same with the mistake undone and the mount fitted; where no mistake was found, of the best hypothesis; for [`GrossCause::SceneOrCamera`] of epipolar geometries that need no
-    /// intrinsics. px.
-    pub after_px: f64,
+    /// Median Sampson distance of the matches with the data as they stand, the mount fitted (but for
+    /// [`GrossCause::MountFarOff`]: with the rig's), px; `None` where no mount fits at all.
+    pub before_px: Option<f64>,
+    /// The same with the mistake undone and the mount fitted; where no mistake was found, of the best hypothesis; for
+    /// [`GrossCause::SceneOrCamera`] of epipolar geometries that need no intrinsics. px; `None` where no hypothesis fits at all.
+    pub after_px: Option<f64>,
     /// The next best hypothesis and its median distance, px; `None` where nothing else was tried.
     pub second: Option<(GrossCause, f64)>,
+    /// Mistakes that were tried.
+    pub tried: usize,
     /// Pairs of images that took part.
     pub pairs: usize,
     /// Their matches.
@@ -107,7 +112,8 @@ const MATCHES: usize = 1500;
 const MIN_GAIN: f64 = 3.0;
 /// ... and is smaller than every other hypothesis' by this one.
 const MIN_LEAD: f64 = 1.5;
-/// What nominal arms leave, at the most: so many pixels, or that angle where it is more (sub-millimetre to millimetre errors of an arm at arm's length).
+/// What nominal arms leave, at the most: so many pixels, or that angle where it is more (sub-millimetre to millimetre
+/// errors of an arm at arm's length).
 const EXPLAINED: (f64, f64) = (3.0, 6e-3);
 /// A mount further off than this was not measured with a ruler: rotation in degrees, translation in millimetres.
 const FAR_OFF: (f64, f64) = (5.0, 50.0);
@@ -118,8 +124,8 @@ const INCONSISTENT: (f64, f64) = (3.0, 1.0);
 /// The angles of an arm that is no other one are within a few of these, degrees.
 const OWN_ARM_DEG: f64 = 1.0;
 
-/// Names the gross mistake that explains why the rig does not explain the images; `None` where the data as they stand are explained with another calibration of the same rig, or
-/// where too few images have anything in common.
+/// Names the gross mistake that explains why the rig does not explain the images; `None` where the data as they stand
+/// are explained with another calibration of the same rig, or where too few images have anything in common.
 ///
 /// Called when an estimate explains nothing; asked of a good data set it says `None`, too. Deterministic; seconds.
 ///
@@ -141,9 +147,10 @@ pub fn find_gross_cause(
     let as_it_stands = trial.fit(&nominal)?;
     let mut finding = GrossFinding {
         cause: GrossCause::OtherArm,
-        before_px: as_it_stands.map_or(f64::INFINITY, |fit| fit.px),
-        after_px: f64::INFINITY,
+        before_px: as_it_stands.map(|fit| fit.px),
+        after_px: None,
         second: None,
+        tried: 0,
         pairs: pairs.len(),
         matches: pairs.iter().map(|pair| pair.matches.len()).sum(),
     };
@@ -152,23 +159,30 @@ pub fn find_gross_cause(
     if with > INCONSISTENT.0 * without && with > INCONSISTENT.1 {
         return Ok(Some(GrossFinding {
             cause: GrossCause::SceneOrCamera,
-            before_px: with,
-            after_px: without,
+            before_px: Some(with),
+            after_px: Some(without),
             ..finding
         }));
     }
-    let tried = trial.finalists(&pairs, candidates(dataset), progress)?;
-    finding.second = tried.get(1).copied();
-    if let Some(&(cause, px)) = tried.first() {
-        finding.after_px = px;
+    let hypotheses = candidates(dataset);
+    finding.tried = hypotheses.len();
+    let tried = trial.finalists(&pairs, hypotheses, progress)?;
+    finding.second = tried.get(1).map(|second| (second.cause, second.fit.px));
+    if let Some(best) = tried.first() {
+        let px = best.fit.px;
+        finding.after_px = Some(px);
         let lead = finding.second.is_none_or(|(_, second)| MIN_LEAD * px <= second);
-        if lead && px <= explained_px(camera) && MIN_GAIN * px <= finding.before_px {
-            return Ok(Some(GrossFinding { cause, ..finding }));
+        if lead
+            && finding.before_px.is_none_or(|before| MIN_GAIN * px <= before)
+            && trial.explained(&best.candidate, &best.fit)?
+        {
+            return Ok(Some(GrossFinding { cause: best.cause, ..finding }));
         }
     }
     if let Some(fit) = as_it_stands
-        && (fit.px <= explained_px(camera) || trial.explained_by_angles(&nominal, &fit)?)
+        && trial.explained(&nominal, &fit)?
     {
+        finding.second = tried.first().map(|best| (best.cause, best.fit.px));
         return Ok(mount_far_off(&trial, dataset, &fit, finding)?);
     }
     Ok(Some(finding))
@@ -189,17 +203,13 @@ fn mount_far_off(
     let data = trial.data(&Candidate::nominal(dataset)).0;
     let before_px = epipolar_statistics(&Model::new(dataset.rig.clone()), &data)?.median_sampson_px;
     let change = dataset.rig.flange_from_color.inverse() * fit.flange_from_color;
-    let (rotation_deg, translation_mm) =
-        (change.rotation.angle().to_degrees(), change.translation.vector.norm() * 1e3);
+    let (rotation_deg, translation_mm) = (change.rotation.angle().to_degrees(), change.translation.vector.norm() * 1e3);
     let far = rotation_deg > FAR_OFF.0 || translation_mm > FAR_OFF.1;
     if !far || before_px < MIN_GAIN * fit.px {
         return Ok(None);
     }
-    let cause =
-        GrossCause::MountFarOff { rotation_deg, translation_mm, flange_from_color: fit.flange_from_color };
-
-
-    Ok(Some(GrossFinding { cause, before_px, after_px: fit.px, second: finding.second, ..finding }))
+    let cause = GrossCause::MountFarOff { rotation_deg, translation_mm, flange_from_color: fit.flange_from_color };
+    Ok(Some(GrossFinding { cause, before_px: Some(before_px), after_px: Some(fit.px), ..finding }))
 }
 
 /// A mount that was found, and what it leaves.
@@ -207,6 +217,13 @@ fn mount_far_off(
 struct Fit {
     flange_from_color: Isometry3,
     px: f64,
+}
+
+/// A hypothesis with the mount that fits it best.
+struct Finalist {
+    cause: GrossCause,
+    candidate: Candidate,
+    fit: Fit,
 }
 
 /// The matches on which hypotheses are compared.
@@ -233,7 +250,9 @@ impl Trial<'_> {
     /// The mount that fits a hypothesis best; `None` where nothing fits at all.
     fn fit(&self, candidate: &Candidate) -> Result<Option<Fit>, CalibrationError> {
         let (data, part) = self.data(candidate);
-        if part < 0.5 || candidate.flange_poses().iter().zip(&candidate.postures).any(|(p, q)| p.is_none() && q.is_some()) {
+        if part < 0.5
+            || candidate.flange_poses().iter().zip(&candidate.postures).any(|(p, q)| p.is_none() && q.is_some())
+        {
             return Ok(None);
         }
         let found = match find_mount(&candidate.rig, &data) {
@@ -254,7 +273,7 @@ impl Trial<'_> {
         pairs: &[FreePair],
         candidates: Vec<Candidate>,
         progress: &dyn Progress,
-    ) -> Result<Vec<(GrossCause, f64)>, RunError> {
+    ) -> Result<Vec<Finalist>, RunError> {
         progress.begin(Stage::FindCause, FINALISTS as u64);
         let mut screened: Vec<(f64, Candidate)> =
             candidates.into_iter().map(|c| (rotation_misfit_rad(pairs, &c.flange_poses()), c)).collect();
@@ -266,18 +285,21 @@ impl Trial<'_> {
                 return Err(RunError::Interrupted);
             }
             if let (Some(cause), Some(fit)) = (candidate.cause, self.fit(&candidate)?) {
-                tried.push((cause, fit.px));
+                tried.push(Finalist { cause, candidate, fit });
             }
             progress.step();
         }
-        tried.sort_by(|x, y| x.1.total_cmp(&y.1));
+        tried.sort_by(|x, y| x.fit.px.total_cmp(&y.fit.px));
         Ok(tried)
     }
 
-    /// Whether the arm's own angles, a degree or so off, explain what its mount alone does not.
-    fn explained_by_angles(&self, candidate: &Candidate, fit: &Fit) -> Result<bool, CalibrationError> {
+    /// Whether nothing gross is left: the mount explains the matches, or the arm's own angles explain what it does not.
+    fn explained(&self, candidate: &Candidate, fit: &Fit) -> Result<bool, CalibrationError> {
+        if fit.px <= explained_px(self.camera) {
+            return Ok(true);
+        }
         let (data, _) = self.data(candidate);
-        if candidate.rig.robot.is_none() || data.postures.iter().any(|p| matches!(p.state, PostureState::FlangePose(_))) {
+        if data.postures.iter().any(|posture| matches!(posture.state, PostureState::FlangePose(_))) {
             return Ok(false);
         }
         let prior = Prior { angle_deg: Some(OWN_ARM_DEG), ..Prior::default() };

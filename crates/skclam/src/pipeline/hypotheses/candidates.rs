@@ -87,7 +87,8 @@ fn of_joints(nominal: &Candidate, robot: &SerialChain) -> Vec<Candidate> {
             }));
         }
     }
-    let turning = |factor: f64| kinds.iter().map(|kind| if *kind == JointKind::Revolute { factor } else { 1.0 }).collect();
+    let turning =
+        |factor: f64| kinds.iter().map(|kind| if *kind == JointKind::Revolute { factor } else { 1.0 }).collect();
     list.push(nominal.changed(GrossCause::DegreesForRadians, scaled(turning(1f64.to_radians()))));
     list.push(nominal.changed(GrossCause::RadiansForDegrees, scaled(turning(1f64.to_degrees()))));
     list

@@ -1,7 +1,8 @@
 //! Depth images that belong to other rows than the colour images beside them.
 //!
-//! The images alone, at the estimated poses, give every track a point and with it the depth at which a view should have measured it. The depth image that belongs to the
-//! view scatters little about that; the scale is not asked for, as an estimate that trusted wrong depths has it wrong.
+//! The images alone, at the estimated poses, give every track a point and with it the depth at which a view should have
+//! measured it. The depth image that belongs to the view scatters little about that; the scale is not asked for, as an
+//! estimate that trusted wrong depths has it wrong.
 
 use super::relative_pose::median;
 use crate::dataset::Dataset;
@@ -16,7 +17,8 @@ use skclam_geometry::{Isometry3, Pixel, Point3};
 pub struct DepthShift {
     /// The depth image of a posture stands so many rows further down (above, where negative).
     pub by: i64,
-    /// How far depths scatter about what the images say, as the rows stand: median of the relative error about its own median, percent.
+    /// How far depths scatter about what the images say, as the rows stand: median of the relative error about its own
+    /// median, percent.
     pub before_percent: f64,
     /// The same with the depth images at their rows, percent.
     pub after_percent: f64,
@@ -37,7 +39,8 @@ const MIN_POINTS: usize = 50;
 const MIN_GAIN: f64 = 3.0;
 const MIN_BEFORE_PERCENT: f64 = 2.0;
 
-/// Whether depth images belong to other rows; asked when the images fit and the depths do not. `None` where they are right where they are, or there are too few.
+/// Whether depth images belong to other rows; asked when the images fit and the depths do not. `None` where they are
+/// right where they are, or there are too few.
 ///
 /// # Errors
 /// Depth images that cannot be read, postures that the rig refuses.
@@ -75,9 +78,10 @@ pub fn find_depth_shift(
     };
     let as_it_stands = &ratios[most as usize];
     let before_percent = scatter(as_it_stands);
-    let shifted = shifts.iter().zip(&ratios).filter(|(by, ratios)| {
-        **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= as_it_stands.len()
-    });
+    let shifted = shifts
+        .iter()
+        .zip(&ratios)
+        .filter(|(by, ratios)| **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= as_it_stands.len());
     let best = shifted
         .map(|(&by, ratios)| DepthShift { by, before_percent, after_percent: scatter(ratios), points: ratios.len() })
         .min_by(|x, y| x.after_percent.total_cmp(&y.after_percent));

@@ -4,21 +4,24 @@ use super::{DepthShift, GrossCause, GrossFinding};
 
 /// One or two sentences for a person who knows the robot and not the program.
 pub fn describe(finding: &GrossFinding) -> String {
+    let [before, after] = [finding.before_px, finding.after_px]
+        .map(|px| px.map_or_else(|| "no fit at all".to_owned(), |px| format!("{px:.1} px")));
     let gain = format!(
-        "the median distance of {} matches to their epipolar lines goes from {:.1} to {:.1} px",
-        finding.matches, finding.before_px, finding.after_px
+        "the median distance of {} matches to their epipolar lines goes from {before} to {after}",
+        finding.matches
     );
     let second = match finding.second {
         Some((_, px)) if px.is_finite() => format!(", and the next best explanation leaves {px:.1} px"),
         _ => String::new(),
     };
-    let cured = |what: String, cure: String| format!("{what}: {gain} with that undone and the mount fitted{second}. {cure}");
+    let cured =
+        |what: String, cure: String| format!("{what}: {gain} with that undone and the mount fitted{second}. {cure}");
     match finding.cause {
         GrossCause::JointSign { joint } => {
             let q = joint + 1;
             cured(
                 format!("joint {q} turns the other way round than the rig has it"),
-                format!("Change the sign of column q{q} in postures.csv, or turn the joint's axis in rig.toml."),
+                format!("Change the sign of column q{q} in postures.csv."),
             )
         }
         GrossCause::JointsSwapped { a, b } => {
@@ -40,7 +43,10 @@ pub fn describe(finding: &GrossFinding) -> String {
             let (rows, where_to) = (by.unsigned_abs(), if by > 0 { "below" } else { "above" });
             let plural = if rows == 1 { "row" } else { "rows" };
             cured(
-                format!("images and postures are shifted: an image belongs to the posture {rows} {plural} {where_to} it"),
+                format!(
+                    "images and postures are shifted: an image belongs to the posture {rows} {plural} \
+                {where_to} it"
+                ),
                 format!(
                     "In postures.csv, move the names in the column color (and depth) {rows} {plural} {}.",
                     if by > 0 { "down" } else { "up" }
@@ -49,10 +55,13 @@ pub fn describe(finding: &GrossFinding) -> String {
         }
         GrossCause::LinkConvention => cured(
             "the arm's table of link parameters is given in the wrong convention".to_owned(),
-            "Change robot.convention in rig.toml: \"modified_dh\" to \"standard_dh\", or the other way round.".to_owned(),
+            "Change robot.convention in rig.toml: \"modified_dh\" to \"standard_dh\", or the other way \
+            round."
+                .to_owned(),
         ),
         GrossCause::MountFarOff { rotation_deg, translation_mm, .. } => format!(
-            "the mount in rig.toml is far off, by {rotation_deg:.0} deg and {translation_mm:.0} mm: {gain} with a mount that was found from the images alone. \
+            "the mount in rig.toml is far off, by {rotation_deg:.0} deg and {translation_mm:.0} mm: {gain} with a \
+            mount that was found from the images alone. \
              Run with --find-mount, or correct [mount] in rig.toml."
         ),
         GrossCause::QuaternionOrder => cured(
@@ -61,22 +70,21 @@ pub fn describe(finding: &GrossFinding) -> String {
         ),
         GrossCause::PoseInverted => cured(
             "the flange poses are inverted: they take points from the base to the flange".to_owned(),
-            "Write the inverse of every pose (base_from_flange: the flange's place in the base frame) into postures.csv.".to_owned(),
+            "Write the inverse of every pose (base_from_flange: the flange's place in the base frame) into \
+            postures.csv."
+                .to_owned(),
         ),
         GrossCause::OtherArm => format!(
-            "the images agree with each other, but these postures of this arm do not explain them: {:.1} px remain with the mount fitted. Tried without success: another sign \
-             of each joint, swapped joints, degrees for radians, shifted rows, the other convention ({}). Is it the rig of this arm, and are these \
-             the joint values of this recording?",
-            finding.before_px,
-            match finding.after_px.is_finite() {
-                true => format!("the best of them leaves {:.1} px", finding.after_px),
-                false => "none of them fits anything".to_owned(),
-            }
+            "the images agree with each other, but these postures of this arm do not explain them: {before} remain \
+             with the mount fitted, and none of {} mistakes that were tried explains it (the best leaves {after}). Is it the rig of this \
+             arm, and are these the postures of this recording?",
+            finding.tried,
         ),
         GrossCause::SceneOrCamera => format!(
-            "two images at a time, without the arm, do not fit [color] in rig.toml: {:.1} px remain in the median pair with these intrinsics, {:.1} px without any. \
-             Are focal length, centre and distortion those of this camera at this resolution? Did the scene stand still?",
-            finding.before_px, finding.after_px
+            "two images at a time, without the arm, do not fit [color] in rig.toml: {before} remain in the median \
+            pair with these intrinsics, {after} without any. \
+             Are focal length, centre and distortion those of this camera at this resolution? Did the scene stand \
+             still?",
         ),
     }
 }
@@ -89,10 +97,10 @@ pub fn describe_depth_shift(shift: &DepthShift) -> String {
     };
     let plural = if rows == 1 { "row" } else { "rows" };
     format!(
-        "the depth images are shifted: the one that belongs to a posture stands {rows} {plural} {where_to} it; depths at {} points then scatter by {:.1} % about \
-         what the images say, not by {:.1} %. In postures.csv, move the names in the column depth {rows} {plural} {move_to}.",
-        shift.points,
-        shift.after_percent,
-        shift.before_percent
+        "the depth images are shifted: the one that belongs to a posture stands {rows} {plural} {where_to} it; \
+        depths at {} points then scatter by {:.1} % about \
+         what the images say, not by {:.1} %. In postures.csv, move the names in the column depth {rows} {plural} \
+         {move_to}.",
+        shift.points, shift.after_percent, shift.before_percent
     )
 }

@@ -1,4 +1,5 @@
-//! Matches that no rig had a say in: neighbours of the recording and the pairs of most shared descriptors, verified by RANSAC alone.
+//! Matches that no rig had a say in: neighbours of the recording and the pairs of most shared descriptors, verified by
+//! RANSAC alone.
 
 use super::relative_pose::{RelativeRotation, relative_rotation};
 use crate::pipeline::{Config, ImageFeatures, RunError};
@@ -113,17 +114,13 @@ fn strongest(image: &ImageFeatures) -> Strongest {
     Strongest {
         descriptors: order.iter().map(|&k| image.features.descriptors[k]).collect(),
         undistorted: order.iter().map(|&k| image.undistorted[k]).collect(),
-        pixels: order
-            .iter()
-            .map(|&k| Pixel::new(f64::from(keypoints[k].x), f64::from(keypoints[k].y)))
-            .collect(),
+        pixels: order.iter().map(|&k| Pixel::new(f64::from(keypoints[k].x), f64::from(keypoints[k].y))).collect(),
     }
 }
 
 /// Neighbours, and for each image those with which it shares most descriptors.
 fn choose(images: &[Strongest], progress: &dyn Progress) -> Result<Vec<(usize, usize)>, RunError> {
-    let all: Vec<(usize, usize)> =
-        (0..images.len()).flat_map(|a| (a + 1..images.len()).map(move |b| (a, b))).collect();
+    let all: Vec<(usize, usize)> = (0..images.len()).flat_map(|a| (a + 1..images.len()).map(move |b| (a, b))).collect();
     let stride = all.len().div_ceil(MAX_COMPARED).max(1);
     let options = MatchOptions { ratio: 0.8, cross_check: true, max_distance: None };
     let shared: Vec<(usize, (usize, usize))> = all

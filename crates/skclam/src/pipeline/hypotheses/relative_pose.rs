@@ -1,8 +1,9 @@
 //! How a camera turned between two images, by its intrinsics and verified matches alone.
 //!
-//! The five unknowns of `camera_a_from_camera_b` (rotation, and the direction of the translation) minimise robust Sampson distances (Hartley and Zisserman,
-//! section 11.4.3) from several starts: both rotations of the essential matrix `K^T F K`, and rotations in the image plane, as a plane in view leaves `F`
-//! undetermined but not the pose. A plane leaves two poses: rotations that fit as well are kept as alternatives.
+//! The five unknowns of `camera_a_from_camera_b` (rotation, and the direction of the translation) minimise robust
+//! Sampson distances (Hartley and Zisserman, section 11.4.3) from several starts: both rotations of the essential
+//! matrix `K^T F K`, and rotations in the image plane, as a plane in view leaves `F` undetermined but not the pose. A
+//! plane leaves two poses: rotations that fit as well are kept as alternatives.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Translation3, Unit, UnitQuaternion, Vector2, Vector3};
 use skclam_geometry::{FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
@@ -83,7 +84,8 @@ impl TwoViews<'_> {
         starts
     }
 
-    /// Both rotations of the essential matrix (Hartley and Zisserman, section 9.6.2); the translation's sign is no matter here.
+    /// Both rotations of the essential matrix (Hartley and Zisserman, section 9.6.2); the translation's sign is no
+    /// matter here.
     fn of_essential(&self, fundamental: &Matrix3<f64>) -> Vec<Isometry3> {
         let k = self.camera.matrix();
         let svd = (k.transpose() * fundamental * k).svd(true, true);
@@ -111,7 +113,8 @@ impl TwoViews<'_> {
     /// The turn in the image plane that takes B's pixels to A's, least squares.
     fn roll(&self) -> f64 {
         let count = self.ends.len().max(1) as f64;
-        let sum = self.ends.iter().fold([Vector2::zeros(); 2], |[a, b], (in_a, in_b)| [a + in_a.coords, b + in_b.coords]);
+        let sum =
+            self.ends.iter().fold([Vector2::zeros(); 2], |[a, b], (in_a, in_b)| [a + in_a.coords, b + in_b.coords]);
         let [mean_a, mean_b] = sum.map(|sum| sum / count);
         let (mut sine, mut cosine) = (0.0, 0.0);
         for (in_a, in_b) in self.ends {

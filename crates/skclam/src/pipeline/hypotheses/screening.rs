@@ -1,8 +1,9 @@
-//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be held against the images.
+//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be held against the
+//! images.
 //!
-//! The camera turned by `A`, the flange by `B`, and `A = X^-1 B X` with the rotation `X` of the mount. Rotation vectors then satisfy `a = X^-1 b` (Park and
-//! Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994), two of them determine `X`, and the best of many twos is refined on the
-//! half that it explains.
+//! The camera turned by `A`, the flange by `B`, and `A = X^-1 B X` with the rotation `X` of the mount. Rotation vectors
+//! then satisfy `a = X^-1 b` (Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group",
+//! 1994), two of them determine `X`, and the best of many twos is refined on the half that it explains.
 
 use super::pairs::FreePair;
 use super::relative_pose::median;
@@ -16,7 +17,8 @@ const USABLE_RAD: [f64; 2] = [0.07, 2.97];
 /// Sine of the least angle between the axes of two.
 const MIN_SINE: f64 = 0.3;
 
-/// Median angle by which the flange's turns fail to be the camera's, rad, with the mount's rotation that fits them best.
+/// Median angle by which the flange's turns fail to be the camera's, rad, with the mount's rotation that fits them
+/// best.
 pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option<Isometry3>]) -> f64 {
     let turns: Vec<(&[UnitQuaternion<f64>], UnitQuaternion<f64>)> = pairs
         .iter()
@@ -79,7 +81,8 @@ pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option
     )
 }
 
-/// The rotation `X` with `b = X a` for pairs of vectors `(a, b)`, least squares (Wahba's problem, by the singular value decomposition).
+/// The rotation `X` with `b = X a` for pairs of vectors `(a, b)`, least squares (Wahba's problem, by the singular value
+/// decomposition).
 fn aligned(turns: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> UnitQuaternion<f64> {
     let profile: Matrix3<f64> = turns.map(|(camera, flange)| flange * camera.transpose()).sum();
     let svd = profile.svd(true, true);

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::output::StagedFolder;
-use crate::pipeline::extract_features;
+use crate::pipeline::gather::gather;
+use crate::pipeline::{calibrate, extract_features};
 use crate::progress::Silent;
 use crate::virtual_cell::{scaled_rig, write_virtual_cell};
 use nalgebra::Vector3;
@@ -165,4 +166,74 @@ fn another_arm_and_another_camera_are_told_apart() {
 fn the_same_recording_gives_the_same_answer() {
     let damage = |dataset: &mut Dataset| joints(dataset, |q| q[3] = -q[3]);
     assert_eq!(found(damage), found(damage));
+}
+
+/// Stops whatever it is shown to.
+struct Impatient;
+
+impl Progress for Impatient {
+    fn begin(&self, _: Stage, _: u64) {}
+    fn step(&self) {}
+    fn stop_requested(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn a_stop_is_obeyed() {
+    let cell = cell();
+    let end = find_gross_cause(&cell.dataset, &cell.images, &Config::default(), &Impatient);
+    assert!(matches!(end, Err(RunError::Interrupted)), "{end:?}");
+}
+
+#[test]
+fn shifted_depth_images_are_named_with_the_number_of_rows() {
+    let shift_found = |by: i64| {
+        let mut dataset = cell().dataset.clone();
+        let names: Vec<_> = dataset.records.iter().map(|record| record.depth.clone()).collect();
+        for (row, record) in dataset.records.iter_mut().enumerate() {
+            record.depth = names[(row as i64 - by).rem_euclid(names.len() as i64) as usize].clone();
+        }
+        let config = Config::default();
+        let data = gather(&dataset, &config, &Silent).expect("matches").data;
+        let calibration = calibrate(&dataset, &data, &config, &Silent).expect("a calibration");
+        let found = find_depth_shift(&dataset, &calibration, &data.tracks).expect("an answer");
+        println!("{by}: {}", found.as_ref().map_or("none".to_owned(), describe_depth_shift));
+        found.map(|shift| shift.by)
+    };
+    assert_eq!(shift_found(0), None);
+    assert_eq!(shift_found(1), Some(1));
+    assert_eq!(shift_found(-2), Some(-2));
+}
+
+#[test]
+fn every_sentence_names_what_to_change() {
+    let far =
+        GrossCause::MountFarOff { rotation_deg: 90.0, translation_mm: 30.0, flange_from_color: Isometry3::identity() };
+    for (cause, key) in [
+        (GrossCause::JointSign { joint: 2 }, "column q3"),
+        (GrossCause::JointsSwapped { a: 1, b: 2 }, "columns q2 and q3"),
+        (GrossCause::DegreesForRadians, "q1_deg"),
+        (GrossCause::RadiansForDegrees, "q1_rad"),
+        (GrossCause::PosturesShifted { by: 1 }, "1 row down"),
+        (GrossCause::PosturesShifted { by: -2 }, "2 rows up"),
+        (GrossCause::LinkConvention, "robot.convention"),
+        (far, "[mount]"),
+        (GrossCause::QuaternionOrder, "qw, qx, qy, qz"),
+        (GrossCause::PoseInverted, "base_from_flange"),
+        (GrossCause::OtherArm, "this arm"),
+        (GrossCause::SceneOrCamera, "[color]"),
+    ] {
+        let finding = GrossFinding {
+            cause,
+            before_px: Some(40.0),
+            after_px: Some(0.8),
+            second: None,
+            tried: 30,
+            pairs: 9,
+            matches: 300,
+        };
+        let text = describe(&finding);
+        assert!(text.contains(key) && text.contains("40.0") && text.contains("0.8 px"), "{text}");
+    }
 }
