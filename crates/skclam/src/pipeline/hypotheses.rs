@@ -112,9 +112,11 @@ const MATCHES: usize = 1500;
 const MIN_GAIN: f64 = 3.0;
 /// ... and is smaller than every other hypothesis' by this one.
 const MIN_LEAD: f64 = 1.5;
-/// What nominal arms leave, at the most: so many pixels, or that angle where it is more (sub-millimetre to millimetre
-/// errors of an arm at arm's length).
-const EXPLAINED: (f64, f64) = (3.0, 6e-3);
+/// What a nominal arm leaves with the mount fitted, at the most: so many pixels, or that angle where it is more (its angles
+/// off by half a degree each, seen at arm's length).
+const MOUNT_LEAVES: (f64, f64) = (3.0, 0.02);
+/// What it leaves with its own angles fitted too, at the most.
+const ANGLES_LEAVE: (f64, f64) = (3.0, 6e-3);
 /// A mount further off than this was not measured with a ruler: rotation in degrees, translation in millimetres.
 const FAR_OFF: (f64, f64) = (5.0, 50.0);
 /// No camera is mounted farther from a flange.
@@ -188,9 +190,9 @@ pub fn find_gross_cause(
     Ok(Some(finding))
 }
 
-/// What a nominal arm leaves, px.
-fn explained_px(camera: &PinholeCamera) -> f64 {
-    EXPLAINED.0.max(EXPLAINED.1 * camera.fx)
+/// A limit in pixels or as an angle, whichever is more, px.
+fn limit_px((px, angle): (f64, f64), camera: &PinholeCamera) -> f64 {
+    px.max(angle * camera.fx)
 }
 
 /// The data are explained with this mount: whether it is the rig's.
@@ -295,7 +297,7 @@ impl Trial<'_> {
 
     /// Whether nothing gross is left: the mount explains the matches, or the arm's own angles explain what it does not.
     fn explained(&self, candidate: &Candidate, fit: &Fit) -> Result<bool, CalibrationError> {
-        if fit.px <= explained_px(self.camera) {
+        if fit.px <= limit_px(MOUNT_LEAVES, self.camera) {
             return Ok(true);
         }
         let (data, _) = self.data(candidate);
@@ -308,7 +310,7 @@ impl Trial<'_> {
         free.extend(MountComponent::ALL.map(Parameter::Mount));
         let options = PairwiseOptions { free: Free::List(free), ..PairwiseOptions::default() };
         let refined: Calibration = calibrate_pairwise_from(&Model::new(rig.clone()), &rig, &data, &options)?;
-        Ok(refined.epipolar_after.median_sampson_px <= 0.5 * explained_px(self.camera))
+        Ok(refined.epipolar_after.median_sampson_px <= limit_px(ANGLES_LEAVE, self.camera))
     }
 }
 
