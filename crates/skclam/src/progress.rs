@@ -23,6 +23,8 @@ pub enum Stage {
     BuildTracks,
     /// Estimating the rig, section 3.3.
     Calibrate,
+    /// Looking for the gross mistake in a recording that its rig does not explain.
+    FindCause,
     /// Fitting without some postures and judging on them.
     HoldOut,
     /// Measuring a rig on a recording that it was not fitted to.
@@ -49,6 +51,7 @@ impl fmt::Display for Stage {
             Stage::MatchPairs => "match",
             Stage::BuildTracks => "tracks",
             Stage::Calibrate => "calibrate",
+            Stage::FindCause => "causes",
             Stage::HoldOut => "hold out",
             Stage::Validate => "validate",
             Stage::Map => "map",

@@ -3,11 +3,16 @@
 //! Nothing here is a guess from thresholds on residuals: each cause was estimated (an instrument's parameter, freed within its tolerance) or score-tested (a pattern), and carries
 //! its value and twice the gain of the logarithm of the likelihood, by which causes are ranked.
 
-use super::VerdictGrade;
+use super::{
+    Config, DepthShift, Evidence, GrossFinding, ImageFeatures, RunError, VerdictGrade, find_depth_shift,
+    find_gross_cause,
+};
 use crate::dataset::Dataset;
+use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    Calibration, ErrorPattern, Intrinsic, MountComponent, Parameter, PatternFinding, Unit, Warning, arm_positions,
+    Calibration, Correspondences, ErrorPattern, Intrinsic, MountComponent, Parameter, PatternFinding, Unit, Warning,
+    arm_positions,
 };
 use skclam_rig::Posture;
 
@@ -87,6 +92,16 @@ pub enum Cause {
         /// What is expected at most.
         tolerance_per_m: f64,
     },
+    /// A gross mistake in the data set: the images are explained without it.
+    Gross {
+        /// What was tried and found.
+        finding: GrossFinding,
+    },
+    /// Depth images belong to other rows.
+    DepthShift {
+        /// What was found.
+        shift: DepthShift,
+    },
     /// Too few arm positions for what was freed.
     FewPostures {
         /// Arm positions with observations.
@@ -116,6 +131,7 @@ impl Cause {
         match self {
             // An arm or a mount that was far off is what a calibration is for.
             Cause::Beyond { what: Instrument::Arm | Instrument::Mount, .. } => VerdictGrade::Good,
+            Cause::Gross { .. } | Cause::DepthShift { .. } => VerdictGrade::Bad,
             _ => VerdictGrade::Caution,
         }
     }
@@ -125,13 +141,44 @@ impl Cause {
         match self {
             Cause::Beyond { chi_squared, .. } | Cause::Pattern { chi_squared, .. } => *chi_squared,
             Cause::Ruler { scale_error_percent, sigma_percent, .. } => (scale_error_percent / sigma_percent).powi(2),
+            Cause::Gross { .. } | Cause::DepthShift { .. } => f64::INFINITY,
             Cause::FewPostures { .. } | Cause::DepthNoise { .. } | Cause::PostureNoise { .. } => 0.0,
         }
     }
 }
 
-/// The causes of what does not fit: those that call for something first, in the order of what they explain.
-pub fn causes(dataset: &Dataset, calibration: &Calibration) -> Vec<Cause> {
+/// Joints that are off by more in every posture anew (degrees) are no noise: something gross is wrong.
+const GROSS_DEG: f64 = 0.1;
+
+/// The causes of what does not fit: those that call for something first, in the order of what they explain. Gross mistakes are tried where the rig does not explain the
+/// images; other rows of the depth images where depths scatter as no camera's do.
+///
+/// # Errors
+/// An interruption, and what trying the mistakes refuses.
+pub fn causes(
+    dataset: &Dataset,
+    images: &[ImageFeatures],
+    data: &Correspondences,
+    calibration: &Calibration,
+    config: &Config,
+    progress: &dyn Progress,
+) -> Result<Vec<Cause>, RunError> {
+    let mut found = estimated_causes(dataset, calibration);
+    let noise_deg = calibration.noise.posture_angular.unwrap_or(0.0).to_degrees();
+    let evidence = Evidence::of(calibration, None, None, dataset.has_joints());
+    if evidence.is_unexplained() || dataset.has_joints() && noise_deg > GROSS_DEG {
+        let gross = find_gross_cause(dataset, images, config, progress)?;
+        found.extend(gross.map(|finding| Cause::Gross { finding }));
+    }
+    if found.iter().any(|cause| matches!(cause, Cause::DepthNoise { .. })) {
+        let shift = find_depth_shift(dataset, calibration, &data.tracks)?;
+        found.extend(shift.map(|shift| Cause::DepthShift { shift }));
+    }
+    found.sort_by(|a, b| b.grade().cmp(&a.grade()).then(b.rank().total_cmp(&a.rank())));
+    Ok(found)
+}
+
+fn estimated_causes(dataset: &Dataset, calibration: &Calibration) -> Vec<Cause> {
     let mut found = beyond(calibration);
     found.extend(ruler(calibration));
     let index = |position: usize| dataset.records.get(position).map(|record| record.posture.index);
@@ -144,7 +191,6 @@ pub fn causes(dataset: &Dataset, calibration: &Calibration) -> Vec<Cause> {
     if dataset.has_joints() && sigma_deg > JOINT_TOLERANCE_DEG {
         found.push(Cause::PostureNoise { sigma_deg, tolerance_deg: JOINT_TOLERANCE_DEG });
     }
-    found.sort_by(|a, b| b.grade().cmp(&a.grade()).then(b.rank().total_cmp(&a.rank())));
     found
 }
 

@@ -11,6 +11,7 @@ mod error;
 mod features;
 mod gather;
 mod held_out;
+mod hypotheses;
 mod judgement;
 mod map;
 mod map_files;
@@ -38,6 +39,9 @@ pub use coverage::{MapCoverage, map_coverage};
 pub use error::RunError;
 pub use features::{ImageFeatures, extract_features};
 pub use held_out::{FoldSummary, HeldOutOptions, HeldOutSummary, hold_out};
+pub use hypotheses::{
+    DepthShift, GrossCause, GrossFinding, describe, describe_depth_shift, find_depth_shift, find_gross_cause,
+};
 pub use judgement::{Check, Reason, judge, worst};
 pub use map::{build_maps, for_each_posture, for_each_view, localize, voxel_m};
 pub use map_files::{MapFile, MapFilesSummary, write_map_files};

@@ -132,7 +132,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     let PoseSigmas { table: pose_sigmas, recorded: recorded_poses, workspace: workspace_poses } =
         pose_sigmas(dataset, &calibration)?;
     let scale = Scale::of(dataset, &data, &calibration, &pose_sigmas);
-    let causes = causes(dataset, &calibration);
+    let causes = causes(dataset, &images, &data, &calibration, config, progress)?;
     let registered = recorded_poses.as_ref().and_then(|poses| poses.registered);
     let evidence = Evidence::of(&calibration, held_out.as_ref(), registered, dataset.has_joints());
     let case = evidence.case(causes.first());

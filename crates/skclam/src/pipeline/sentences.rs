@@ -156,6 +156,8 @@ pub fn cause_text(cause: &Cause) -> String {
             plain(sigma_per_m * 1e3),
             plain(tolerance_per_m * 1e3)
         ),
+        Cause::Gross { finding } => super::describe(finding).trim_end_matches('.').to_owned(),
+        Cause::DepthShift { shift } => super::describe_depth_shift(shift).trim_end_matches('.').to_owned(),
         Cause::FewPostures { positions, needed } => format!(
             "there are too few postures: {positions} arm positions, where {needed} or more are needed for what was freed"
         ),

@@ -140,7 +140,8 @@ impl Evidence {
 
     /// The first case of the table that applies. `cause`: what explains most of what does not fit.
     pub fn case(&self, cause: Option<&Cause>) -> VerdictCase {
-        if self.is_unexplained() {
+        let gross = cause.is_some_and(|cause| cause.grade() == VerdictGrade::Bad);
+        if self.is_unexplained() || gross {
             return VerdictCase::Unexplained {
                 cause: cause.cloned(),
                 epipolar_px: self.epipolar_px,
