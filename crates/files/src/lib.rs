@@ -28,7 +28,7 @@ pub use recover::recover;
 pub use staged_file::StagedFile;
 pub use staged_folder::StagedFolder;
 pub use staging::abandon_everything;
-pub use text::{csv_cell, is_harmful, json_text, on_screen, shown, shortened};
+pub use text::{csv_cell, is_harmful, json_text, on_screen, shortened, shown};
 
 use std::path::{Path, PathBuf};
 

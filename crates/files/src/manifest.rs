@@ -193,7 +193,8 @@ pub fn verify(folder: &Path) -> Result<Option<Manifest>, OutputError> {
         };
         let Some(expected) = &entry.crc32 else { continue };
         let differs = length != entry.bytes
-            || (length <= MAX_CHECKED_BYTES && checksum(&path).map_err(|error| OutputError::io(&path, error))?.1 != *expected);
+            || (length <= MAX_CHECKED_BYTES
+                && checksum(&path).map_err(|error| OutputError::io(&path, error))?.1 != *expected);
         if differs {
             return Err(mixed(folder, name, "is not the file that was written with the others (manifest.json)"));
         }
@@ -242,7 +243,9 @@ mod tests {
         let folder = folder();
         let path = folder.path().join(MANIFEST);
         let text = std::fs::read_to_string(&path).unwrap();
-        for other in ["{}".to_owned(), "no json".to_owned(), text.replace("a.txt", "../a.txt"), text.replace("1,", "2,")] {
+        for other in
+            ["{}".to_owned(), "no json".to_owned(), text.replace("a.txt", "../a.txt"), text.replace("1,", "2,")]
+        {
             std::fs::write(&path, &other).unwrap();
             assert_eq!(Manifest::read(folder.path()).unwrap(), None, "{other}");
         }

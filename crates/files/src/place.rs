@@ -109,9 +109,9 @@ impl Place {
         let in_the_way = |name: &&str| strangers.iter().any(|stranger| stranger == name);
         match contents.names().iter().copied().chain([MANIFEST]).find(in_the_way) {
             None => Ok(()),
-            Some("postures.csv" | "rig.toml") if self.real.join("postures.csv").exists() => {
-                refuse("holds a data set (postures.csv), whose rig.toml would be replaced; name another folder".to_owned())
-            }
+            Some("postures.csv" | "rig.toml") if self.real.join("postures.csv").exists() => refuse(
+                "holds a data set (postures.csv), whose rig.toml would be replaced; name another folder".to_owned(),
+            ),
             Some(name) => refuse(format!(
                 "{name} in it is not known to be of an earlier command ({MANIFEST}), and is not replaced; name another folder, or move it away"
             )),
@@ -171,7 +171,10 @@ fn resolved(shown: &Path) -> Result<(PathBuf, Vec<PathBuf>), OutputError> {
         Ok(metadata) => {
             let real = match shown.canonicalize() {
                 Err(error) if metadata.is_symlink() && error.kind() == io::ErrorKind::NotFound => {
-                    return Err(OutputError::new(shown, "is a link to what does not exist; name a folder for the results"));
+                    return Err(OutputError::new(
+                        shown,
+                        "is a link to what does not exist; name a folder for the results",
+                    ));
                 }
                 other => other.map_err(io)?,
             };
@@ -194,15 +197,18 @@ fn resolved(shown: &Path) -> Result<(PathBuf, Vec<PathBuf>), OutputError> {
 /// The folder above a path, made where it is not there, without links; and what was made, deepest first.
 pub(crate) fn parents(shown: &Path) -> Result<(PathBuf, Vec<PathBuf>), OutputError> {
     let parent = shown.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let missing: Vec<PathBuf> =
-        parent.ancestors().take_while(|above| !above.as_os_str().is_empty() && !tree::stands(above)).map(Path::to_owned).collect();
-    let made = fs::create_dir_all(parent).and_then(|()| parent.canonicalize());
-    match made {
+    let missing: Vec<PathBuf> = parent
+        .ancestors()
+        .take_while(|above| !above.as_os_str().is_empty() && !tree::stands(above))
+        .map(Path::to_owned)
+        .collect();
+    let made = if missing.is_empty() { Ok(()) } else { fs::create_dir_all(parent) };
+    match made.and_then(|()| parent.canonicalize()) {
         Ok(real) if real.is_dir() => Ok((real, missing)),
-        Ok(_) => Err(OutputError::io(parent, io::ErrorKind::NotADirectory.into())),
+        Ok(_) => Err(OutputError::io(shown, io::ErrorKind::NotADirectory.into())),
         Err(error) => {
             staging::remove_made(&missing);
-            Err(OutputError::io(parent, error))
+            Err(OutputError::io(shown, error))
         }
     }
 }

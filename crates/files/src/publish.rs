@@ -9,7 +9,7 @@
 //! by its links, before anything moves.
 
 use crate::manifest::{MANIFEST, Manifest};
-use crate::place::{Place, Way, previous_name};
+use crate::place::{Place, Way, name_of, previous_name};
 use crate::{OutputError, previous, staging, tree};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -107,7 +107,7 @@ pub(crate) fn after_exchange(real: &Path) -> io::Result<()> {
         let earlier = parent.join(&after.earlier);
         if earlier.symlink_metadata().is_ok_and(|metadata| metadata.is_dir()) {
             carry_over(&earlier, real)?;
-            previous::keep(&earlier, &parent.join(previous_name(real, false)))?;
+            previous::keep(&earlier, &parent.join(previous_name(real, false)), &name_of(real))?;
         }
     }
     tidy(real)
@@ -115,12 +115,13 @@ pub(crate) fn after_exchange(real: &Path) -> io::Result<()> {
 
 /// Whether a name is that of a folder under construction for the destination, and nothing else.
 pub(crate) fn is_staging_of(name: &str, real: &Path) -> bool {
-    name.starts_with(&staging::prefix(&crate::place::name_of(real))) && !name.contains(['/', '\\'])
+    name.starts_with(&staging::prefix(&name_of(real))) && !name.contains(['/', '\\'])
 }
 
 /// Moves what the earlier manifest does not know into the new folder. What has a namesake there stays with the earlier result.
 fn carry_over(earlier: &Path, real: &Path) -> io::Result<()> {
-    let Ok(Some(old)) = Manifest::read(earlier) else { return Ok(()) };
+    let old = Manifest::read(earlier).map_err(|error| io::Error::other(error.to_string()))?;
+    let old = old.ok_or_else(|| io::Error::other("the earlier result has no manifest"))?;
     for entry in fs::read_dir(earlier)? {
         let entry = entry?;
         let name = entry.file_name();
@@ -226,7 +227,11 @@ impl Journal {
                 tree::move_to(&old.join(name), &real.join(name))?;
             }
         }
-        tree::gone_is_fine(fs::remove_dir(&old)).or(Ok(()))
+        // Only folders are left in it.
+        match tree::stands(&old) && tree::files(&old)?.is_empty() {
+            true => tree::remove(&old, None),
+            false => Ok(()),
+        }
     }
 
     /// Keeps the earlier result and removes what is no longer needed, the journal last.
@@ -240,7 +245,7 @@ impl Journal {
         }
         if tree::stands(&old) {
             let workshop = if self.is_inside { real } else { real.parent().unwrap_or(real) };
-            previous::keep(&old, &workshop.join(previous_name(real, self.is_inside)))?;
+            previous::keep(&old, &workshop.join(previous_name(real, self.is_inside)), &name_of(real))?;
         }
         tree::remove(&new, None)?;
         tree::gone_is_fine(fs::remove_file(real.join(JOURNAL)))

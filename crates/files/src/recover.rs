@@ -2,9 +2,9 @@
 
 use crate::publish::{JOURNAL, Journal, after_exchange};
 use crate::{Kind, OutputError, open, staging, tree};
+use std::fs;
 use std::io::Read;
 use std::path::Path;
-use std::fs;
 
 /// Finishes a publication into a folder that was interrupted. Without one, which is the rule, nothing is done; while the command
 /// that publishes lives, its end is waited for.

@@ -30,9 +30,7 @@ impl StagedFile {
         let (real, made_parents) = resolved(&shown)?;
         let begun = Self::begin(&shown, &real, &made_parents);
         match begun {
-            Ok((folder, lock)) => {
-                Ok(StagedFile { shown, real, folder, made_parents, _lock: lock, is_finished: false })
-            }
+            Ok((folder, lock)) => Ok(StagedFile { shown, real, folder, made_parents, _lock: lock, is_finished: false }),
             Err(error) => {
                 staging::remove_made(&made_parents);
                 Err(error)
@@ -137,6 +135,8 @@ fn refuse_parts_of_a_result(shown: &Path, parent: &Path, name: &str) -> Result<(
     };
     match is_part {
         false => Ok(()),
-        true => Err(OutputError::new(shown, "belongs to the result in its folder, and is not replaced; name another file")),
+        true => {
+            Err(OutputError::new(shown, "belongs to the result in its folder, and is not replaced; name another file"))
+        }
     }
 }

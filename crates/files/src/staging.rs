@@ -171,9 +171,16 @@ pub(crate) fn clean(parent: &Path, name: &str) -> Vec<PathBuf> {
     for entry in entries.flatten() {
         let path = entry.path();
         let of_ours = entry.file_name().to_str().is_some_and(|found| found.starts_with(&prefix));
-        let stale = of_ours && path.join(MARKER).is_file() && !is_locked(&path);
+        if !of_ours || is_locked(&path) {
+            continue;
+        }
+        // A command that was killed before it wrote the marker left an empty folder; no other is removed by this call.
+        let removed = match path.join(MARKER).is_file() {
+            true => tree::remove(&path, None),
+            false => fs::remove_dir(&path),
+        };
         // One that cannot be removed is no reason not to work.
-        if stale && tree::remove(&path, None).is_ok() {
+        if removed.is_ok() {
             cleaned.push(path);
         }
     }
@@ -195,7 +202,7 @@ mod tests {
             fs::create_dir(path(name)).unwrap();
             fs::write(path(name).join(MARKER), "").unwrap();
         }
-        fs::create_dir(path(".out.partial-2-0")).unwrap();
+        fs::create_dir_all(path(".out.partial-2-0/sub")).unwrap();
         assert_eq!(clean(place.path(), "out"), [path(".out.partial-1-0")]);
         assert!(alive.exists() && path(".out.partial-2-0").exists() && path(".other.partial-1-0").exists());
         unregister(&alive);

@@ -40,16 +40,21 @@ pub fn on_screen(text: &str) -> Cow<'_, str> {
 /// JSON that holds no harmful characters and means the same: within its strings they stand as `\u001b`.
 pub fn json_text(json: &str) -> Cow<'_, str> {
     // Outside of strings JSON has no other controls than these.
-    escaped(json, |c| is_harmful(c) && !matches!(c, '\n' | '\r' | '\t'), |c, out| {
-        for unit in c.encode_utf16(&mut [0; 2]) {
-            out.push_str(&format!("\\u{unit:04x}"));
-        }
-    })
+    escaped(
+        json,
+        |c| is_harmful(c) && !matches!(c, '\n' | '\r' | '\t'),
+        |c, out| {
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                out.push_str(&format!("\\u{unit:04x}"));
+            }
+        },
+    )
 }
 
-/// A cell of text in a CSV file: harmless on a screen, and no formula to a spreadsheet.
+/// A cell of text in a CSV file: harmless on a screen, and no formula to a spreadsheet. Numbers stay what they are.
 pub fn csv_cell(text: &str) -> Cow<'_, str> {
     match shown(text) {
+        number if number.parse::<f64>().is_ok_and(f64::is_finite) => number,
         cell if cell.starts_with(['=', '+', '-', '@']) => Cow::Owned(format!("'{cell}")),
         cell => cell,
     }
@@ -77,7 +82,9 @@ mod tests {
     #[test]
     fn nothing_harmful_is_left() {
         assert!(!shown(EVIL).chars().any(is_harmful), "{}", shown(EVIL));
-        assert!(shown(EVIL).contains("\\u{1b}[31m") && shown(EVIL).contains("\\r\\n") && shown(EVIL).ends_with('\u{e9}'));
+        assert!(
+            shown(EVIL).contains("\\u{1b}[31m") && shown(EVIL).contains("\\r\\n") && shown(EVIL).ends_with('\u{e9}')
+        );
         assert_eq!(on_screen("a\tb\n\u{1b}"), "a\tb\n\\u{1b}");
         assert!(matches!(shown("plain \u{4e2d}"), Cow::Borrowed(_)));
     }
@@ -95,7 +102,10 @@ mod tests {
     fn formulas_are_text() {
         assert_eq!(csv_cell("=1+1"), "'=1+1");
         assert_eq!(csv_cell("@SUM"), "'@SUM");
-        assert_eq!(csv_cell("theta_2"), "theta_2");
+        assert_eq!(csv_cell("-2+3+cmd"), "'-2+3+cmd");
+        for stays in ["theta_2", "-1.5e3", "+7", ""] {
+            assert_eq!(csv_cell(stays), stays);
+        }
         assert_eq!(csv_cell("\t=1"), "\\t=1");
     }
 

@@ -42,7 +42,10 @@ fn a_new_result_appears_whole_and_an_abandoned_one_leaves_no_trace() {
     drop(staged);
     assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0, "the folder above went too");
     publish(&out, "one").unwrap();
-    assert_eq!(listing(place.path()), ["a.txt", MANIFEST, "one.txt", "sub/b.txt"].map(|name| format!("deep/out/{name}")));
+    assert_eq!(
+        listing(place.path()),
+        ["a.txt", MANIFEST, "one.txt", "sub/b.txt"].map(|name| format!("deep/out/{name}"))
+    );
     assert_eq!(verify(&out).unwrap().unwrap().files.len(), 3);
 }
 
@@ -120,7 +123,10 @@ fn links_and_special_files_stay_what_they_are() {
         StagedFile::new(path("dangling")).map(drop).unwrap_err(),
         StagedFile::new("/dev/null").map(drop).unwrap_err(),
     ] {
-        assert!(error.to_string().contains("is a link to what") || error.to_string().contains("is a device"), "{error}");
+        assert!(
+            error.to_string().contains("is a link to what") || error.to_string().contains("is a device"),
+            "{error}"
+        );
     }
     // A link to a folder is the folder.
     fs::create_dir(path("real")).unwrap();
@@ -183,9 +189,13 @@ fn a_journal_from_a_stranger_moves_nothing_outside() {
     fs::create_dir_all(path("out/.out.partial-1-0")).unwrap();
     symlink("../home", path("out/link")).unwrap();
     for (old, new) in [("link/secret", "a"), ("../home/secret", "a"), ("a", "link/a"), ("a", "../a")] {
-        let journal = serde_json::json!({ "staging": ".out.partial-1-0", "is_inside": true, "old": [old], "new": [new] });
+        let journal =
+            serde_json::json!({ "staging": ".out.partial-1-0", "is_inside": true, "old": [old], "new": [new] });
         fs::write(path("out/.skclam-journal"), journal.to_string()).unwrap();
-        assert!(verify(&path("out")).unwrap_err().to_string().contains("names what is not of the folder"), "{old} {new}");
+        assert!(
+            verify(&path("out")).unwrap_err().to_string().contains("names what is not of the folder"),
+            "{old} {new}"
+        );
         assert_eq!(text(path("home/secret")), "secret");
     }
     let marker = serde_json::json!({ "earlier": "../home" });

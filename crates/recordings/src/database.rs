@@ -66,7 +66,31 @@ impl Database {
     }
 }
 
+/// Where the header says how the database is written (sqlite.org/fileformat): 2 is a write-ahead log.
+const WRITE_VERSION_AT: u64 = 18;
+
+/// The file of the write-ahead log of a database that has one; its messages may lie there alone.
+fn write_ahead_log(path: &Path) -> std::io::Result<Option<PathBuf>> {
+    let mut file = skclam_files::open(path, skclam_files::Kind::Recording)?;
+    let mut version = [0];
+    file.seek(SeekFrom::Start(WRITE_VERSION_AT))?;
+    file.read_exact(&mut version)?;
+    let mut name = path.as_os_str().to_owned();
+    name.push("-wal");
+    Ok((version == [2]).then(|| PathBuf::from(name)))
+}
+
 fn connect(path: &Path) -> Result<Connection, Problem> {
+    let log = write_ahead_log(path)?;
+    // SQLite opens what stands beside the database under its name, whatever it is.
+    for ending in ["-wal", "-shm", "-journal"] {
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(ending);
+        if Path::new(&beside).symlink_metadata().is_ok_and(|metadata| !metadata.is_file()) {
+            let beside = Path::new(&beside).display();
+            return Err(Problem::Damaged(format!("beside it lies {beside}, which is no regular file; move it away")));
+        }
+    }
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(path, flags).map_err(problem)?;
     let most = i32::try_from(MAX_MESSAGE_BYTES).unwrap_or(i32::MAX);
@@ -81,8 +105,16 @@ fn connect(path: &Path) -> Result<Connection, Problem> {
             })
             .map_err(problem)?;
         if count != 1 {
-            let problem = format!("the database has no table \"{table}\"; is it a recording of rosbag2?");
-            return Err(Problem::Damaged(problem));
+            let hint = match &log {
+                Some(log) if !log.exists() => {
+                    format!(
+                        "it was written with a log, {}, which is missing: copy that file beside it too",
+                        log.display()
+                    )
+                }
+                _ => "is it a recording of rosbag2?".to_owned(),
+            };
+            return Err(Problem::Damaged(format!("the database has no table \"{table}\"; {hint}")));
         }
     }
     Ok(connection)

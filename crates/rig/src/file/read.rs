@@ -10,8 +10,6 @@ use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
 use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, SerialChain, chain_from_urdf, urdf_ends};
 use std::path::Path;
 
-/// The largest robot description that is read; meshes lie in files of their own.
-const MAX_URDF_BYTES: u64 = 16 << 20;
 /// The smallest length above 0 that is believed, millimetres.
 const LEAST_MM: f64 = 1e-6;
 /// The largest image side that is believed, pixels.
@@ -131,21 +129,10 @@ impl Reader<'_> {
             ));
         }
         let name = table.urdf.unwrap_or_default();
-        let path = self.path.parent().unwrap_or(Path::new("")).join(&name);
-        let io = |source| RigFileError::Io { path: path.clone(), source };
-        let metadata = std::fs::metadata(&path).map_err(io)?;
-        let length = metadata.len();
-        // A rig may come from anybody, and name a device that never ends.
-        if !metadata.is_file() {
-            return Err(self.value("robot.urdf", format!("{name} is no file")));
-        }
-        if length > MAX_URDF_BYTES {
-            return Err(self.value(
-                "robot.urdf",
-                format!("{name} has {length} bytes; a robot description has at most {MAX_URDF_BYTES}"),
-            ));
-        }
-        let text = std::fs::read_to_string(&path).map_err(io)?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let text = skclam_files::inside(folder, &name)
+            .and_then(|path| skclam_files::read_text(path, skclam_files::Kind::RobotDescription))
+            .map_err(|error| self.value("robot.urdf", format!("{name}: {error}")))?;
         let refused = |error: KinematicsError| self.value("robot.urdf", format!("{name}: {error}"));
         let (bases, tips) = urdf_ends(&text).map_err(refused)?;
         let choose = |key: &str, given: Option<String>, found: Vec<String>| match (given, found.as_slice()) {
@@ -228,6 +215,10 @@ impl Reader<'_> {
             cy: self.finite(&format!("{key}.cy"), table.cy)?,
             distortion,
         };
+        if let Some(mask) = table.mask.as_deref().filter(|mask| !skclam_files::is_inside(Path::new(mask))) {
+            let problem = format!("{mask:?} leaves the folder; name a file within it");
+            return Err(self.value(format!("{key}.mask"), problem));
+        }
         Ok((camera, table.mask))
     }
 
