@@ -6,11 +6,11 @@
 use std::borrow::Cow;
 
 /// Whether a character does more than to be seen: control characters, marks of writing direction (Unicode Annex 9),
-/// separators of lines and paragraphs, and tags.
+/// separators of lines and paragraphs, tags, and what is no character (XML has no place for it).
 pub fn is_harmful(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-        || matches!(c, '\u{feff}' | '\u{e0000}'..='\u{e007f}')
+        || matches!(c, '\u{feff}' | '\u{fffe}' | '\u{ffff}' | '\u{e0000}'..='\u{e007f}')
 }
 
 fn escaped(text: &str, is_escaped: impl Fn(char) -> bool, form: impl Fn(char, &mut String)) -> Cow<'_, str> {

@@ -7,8 +7,9 @@ use crate::screen::{self, say};
 use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
+use skclam::inspection::likely_cause;
 use skclam::output::Contents;
-use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, VerdictGrade};
+use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, RunError, VerdictGrade};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -54,10 +55,11 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     if let Some(found) = &found {
         dataset.rig.flange_from_color = found.flange_from_color;
     }
-    let mut outcome = match extent {
-        Extent::Everything => pipeline::run(&dataset, &config, &screen)?,
-        Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen)?,
+    let done = match extent {
+        Extent::Everything => pipeline::run(&dataset, &config, &screen),
+        Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen),
     };
+    let mut outcome = done.map_err(|error| with_cause(&dataset, error))?;
     outcome.summary.warnings.extend(found.map(|found| {
         format!(
             "the nominal mount was found from {} matches in {} pairs of images ({:.2} px from their epipolar lines in the median); \
@@ -78,6 +80,15 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
         say!("Results: {}; open report.html in a browser", folder.display());
     }
     Ok(())
+}
+
+/// An estimator that failed speaks of matrices; where the data have a slip that explains it, that is said first.
+fn with_cause(dataset: &Dataset, error: RunError) -> anyhow::Error {
+    let of_the_data = matches!(error, RunError::Calibration(_) | RunError::Features(_));
+    match of_the_data.then(|| likely_cause(dataset)).flatten() {
+        Some(cause) => anyhow::Error::new(error).context(cause),
+        None => error.into(),
+    }
 }
 
 /// The times that the screen measured, as the summary keeps them.
