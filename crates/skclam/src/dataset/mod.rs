@@ -54,6 +54,7 @@ impl Dataset {
     /// Opens a folder with another rig in place of the one that lies in it.
     pub fn open_with_rig(folder: impl AsRef<Path>, rig: Rig) -> Result<Dataset, DatasetError> {
         let folder = folder.as_ref();
+        skclam_files::recover(folder)?;
         let table = folder.join("postures.csv");
         if folder.is_dir() && !table.exists() {
             return Err(DatasetError::Missing { path: folder.to_owned(), file: "postures.csv" });
