@@ -327,7 +327,8 @@ fn a_jpeg_that_was_cut_and_closed_is_refused() {
 
 #[test]
 fn a_colour_profile_is_not_unpacked() {
-    // 64 MiB of zeros in 64 KiB, as the profile of each image: without care each of them is unpacked, and more than once.
+    // 64 MiB of zeros in 64 KiB, as the profile of each image: without care each of them is unpacked, and more than
+    // once.
     let copy = small_copy(3);
     for index in 0..3 {
         let path = copy.path().join(format!("color/{index:03}.jpg"));

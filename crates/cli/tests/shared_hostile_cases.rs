@@ -1,5 +1,5 @@
-//! Damaged recordings and images that are too odd to be made in a test; they lie in `../shared/cases` beside the repository. Without
-//! them the tests say so and pass.
+//! Damaged recordings and images that are too odd to be made in a test; they lie in `../shared/cases` beside the
+//! repository. Without them the tests say so and pass.
 
 #![cfg(target_os = "linux")]
 
@@ -54,7 +54,8 @@ fn a_database_without_its_log_says_what_is_missing() {
     assert!(message.contains("wal-missing.db3-wal, which is missing"), "{message}");
 }
 
-/// An import that is killed at any of its renames leaves the old data set or the new one, and the next command nothing beside it.
+/// An import that is killed at any of its renames leaves the old data set or the new one, and the next command
+/// nothing beside it.
 #[test]
 fn an_import_that_is_killed_leaves_one_of_two_data_sets() {
     let Some(first) = case("base.mcap") else { return };

@@ -3,7 +3,8 @@
 //! - [`open`], [`read`] and [`read_text`] open regular files only and never read more than the [`Kind`] allows.
 //! - [`inside`] decides for the whole program whether a name that came from a file may be followed.
 //! - [`shown`], [`on_screen`] and [`csv_cell`] make text of a file harmless for terminals, pages and spreadsheets.
-//! - [`StagedFolder`] and [`StagedFile`] put results in their place in one step, and [`verify`] notices folders that are
+//! - [`StagedFolder`] and [`StagedFile`] put results in their place in one step, and [`verify`] notices folders that
+//!   are
 //!   not of one piece.
 //!
 //! It knows no robots, images or formats.

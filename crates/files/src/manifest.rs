@@ -45,7 +45,8 @@ pub enum Contents {
 }
 
 impl Contents {
-    /// Names that the command may write into the folder itself: what else stands under one of them is told before the work.
+    /// Names that the command may write into the folder itself: what else stands under one of them is told before the
+    /// work.
     pub(crate) fn names(self) -> &'static [&'static str] {
         match self {
             Contents::DataSet => &["rig.toml", "postures.csv", "color", "depth", "truth"],
@@ -173,8 +174,8 @@ impl Manifest {
     }
 }
 
-/// Finishes what an interrupted command left in a folder, and asks whether its files are those of one run. `None` where there
-/// is no manifest: the folder of another version or another program.
+/// Finishes what an interrupted command left in a folder, and asks whether its files are those of one run. `None`
+/// where there is no manifest: the folder of another version or another program.
 ///
 /// Files that are gone are no mixture; whoever needs one will miss it.
 ///

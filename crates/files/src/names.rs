@@ -21,9 +21,8 @@ pub fn is_inside(name: &Path) -> bool {
 
 /// The path of an existing file or folder that a file in `folder` names.
 ///
-/// # Errors
-/// `PermissionDenied` with a reason where the name leaves the folder, by its letters or by a link; otherwise the system's,
-/// such as `NotFound`.
+/// # Errors `PermissionDenied` with a reason where the name leaves the folder, by its letters or by a link; otherwise
+/// the system's, such as `NotFound`.
 pub fn inside(folder: impl AsRef<Path>, name: impl AsRef<Path>) -> io::Result<PathBuf> {
     let name = name.as_ref();
     let refused = |why: &str| {

@@ -1,6 +1,7 @@
 //! Opening files: regular ones only, none larger than its kind may be, none read past that.
 //!
-//! A name can stand for a pipe that nobody writes to, a device that never ends, or a file of terabytes without a byte in it.
+//! A name can stand for a pipe that nobody writes to, a device that never ends, or a file of terabytes without a byte
+//! in it.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -107,7 +108,8 @@ pub(crate) fn what_it_is(kind: std::fs::FileType) -> &'static str {
     }
 }
 
-/// A pipe that the shell opened for this program, as in `<(...)`: a writer is there, so reading it is no wait for nobody.
+/// A pipe that the shell opened for this program, as in `<(...)`: a writer is there, so reading it is no wait for
+/// nobody.
 fn is_handed_over(path: &Path, kind: std::fs::FileType) -> bool {
     #[cfg(unix)]
     {
@@ -134,8 +136,8 @@ fn open_without_waiting(path: &Path) -> io::Result<File> {
     options.open(path)
 }
 
-/// Opens a regular file of at most the kind's size. A length of the system may grow after this; whoever reads to the end
-/// bounds that too, as [`read`] does.
+/// Opens a regular file of at most the kind's size. A length of the system may grow after this; whoever reads to the
+/// end bounds that too, as [`read`] does.
 ///
 /// # Errors
 /// The system's; a message without the path where the file is none, or too large.

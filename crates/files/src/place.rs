@@ -1,4 +1,5 @@
-//! Where results will go, asked before any work is done: what cannot be replaced in the end is refused in the beginning.
+//! Where results will go, asked before any work is done: what cannot be replaced in the end is refused in the
+//! beginning.
 
 use crate::manifest::{Contents, MANIFEST, Manifest};
 use crate::open::what_it_is;
@@ -213,8 +214,8 @@ pub(crate) fn parents(shown: &Path) -> Result<(PathBuf, Vec<PathBuf>), OutputErr
     }
 }
 
-/// Whether a folder cannot be renamed, or should not be: a mount point, the folder that somebody works in, another's, or one
-/// in a folder that cannot be written to.
+/// Whether a folder cannot be renamed, or should not be: a mount point, the folder that somebody works in, another's,
+/// or one in a folder that cannot be written to.
 #[cfg(unix)]
 fn has_to_stay(real: &Path) -> bool {
     use rustix::fs::Access;

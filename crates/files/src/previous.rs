@@ -5,7 +5,8 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Keeps `earlier` as `previous` of the destination `name`; the one that was kept before is removed. Can be repeated at any point.
+/// Keeps `earlier` as `previous` of the destination `name`; the one that was kept before is removed. Can be repeated
+/// at any point.
 ///
 /// The one before gets a marker and a hidden name first, so that no half of it is ever taken for a result.
 pub(crate) fn keep(earlier: &Path, previous: &Path, name: &str) -> io::Result<()> {

@@ -1,12 +1,13 @@
 //! From the staged folder to the destination.
 //!
-//! Where the destination is new that is one rename. Where an earlier result stands, the two folders change places in one
-//! step, and what follows only tidies up: files that were never this program's go over to the new folder, the earlier result
-//! becomes `NAME.previous`. Where the folder itself has to stay (a mount point, somebody's working folder) or the system cannot
-//! exchange, files are moved one by one under a journal, which [`recover`](crate::recover) carries to its end.
+//! Where the destination is new that is one rename. Where an earlier result stands, the two folders change places in
+//! one step, and what follows only tidies up: files that were never this program's go over to the new folder, the
+//! earlier result becomes `NAME.previous`. Where the folder itself has to stay (a mount point, somebody's working
+//! folder) or the system cannot exchange, files are moved one by one under a journal, which
+//! [`recover`](crate::recover) carries to its end.
 //!
-//! Names in journals, markers and manifests may come with a folder from anywhere: each is checked to stay within the folder, also
-//! by its links, before anything moves.
+//! Names in journals, markers and manifests may come with a folder from anywhere: each is checked to stay within the
+//! folder, also by its links, before anything moves.
 
 use crate::manifest::{MANIFEST, Manifest};
 use crate::place::{Place, Way, name_of, previous_name};
@@ -39,8 +40,8 @@ pub(crate) struct Journal {
     pub new: Vec<String>,
 }
 
-/// Puts a complete staged folder in its place. After an error everything is as it was, unless the error says that a journal is
-/// left.
+/// Puts a complete staged folder in its place. After an error everything is as it was, unless the error says that a
+/// journal is left.
 pub(crate) fn publish(place: &Place, staged: &Path, files: &[String]) -> Result<(), OutputError> {
     let io = |error| OutputError::io(&place.shown, error);
     // Somebody else may have made it in the meantime: a rename would replace an empty folder alone.
@@ -118,7 +119,8 @@ pub(crate) fn is_staging_of(name: &str, real: &Path) -> bool {
     name.starts_with(&staging::prefix(&name_of(real))) && !name.contains(['/', '\\'])
 }
 
-/// Moves what the earlier manifest does not know into the new folder. What has a namesake there stays with the earlier result.
+/// Moves what the earlier manifest does not know into the new folder. What has a namesake there stays with the
+/// earlier result.
 fn carry_over(earlier: &Path, real: &Path) -> io::Result<()> {
     let old = Manifest::read(earlier).map_err(|error| io::Error::other(error.to_string()))?;
     let old = old.ok_or_else(|| io::Error::other("the earlier result has no manifest"))?;

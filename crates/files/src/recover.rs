@@ -6,8 +6,8 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 
-/// Finishes a publication into a folder that was interrupted. Without one, which is the rule, nothing is done; while the command
-/// that publishes lives, its end is waited for.
+/// Finishes a publication into a folder that was interrupted. Without one, which is the rule, nothing is done; while
+/// the command that publishes lives, its end is waited for.
 ///
 /// # Errors
 /// Where the folder holds files of two results and cannot be put in order.

@@ -8,7 +8,8 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file under construction, in a hidden folder beside its place. Dropped without [`publish`](Self::publish), it vanishes.
+/// A file under construction, in a hidden folder beside its place. Dropped without [`publish`](Self::publish), it
+/// vanishes.
 #[derive(Debug)]
 pub struct StagedFile {
     shown: PathBuf,

@@ -7,7 +7,8 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder under construction. Dropped without [`publish`](Self::publish), it vanishes, and the destination is as it was.
+/// A folder under construction. Dropped without [`publish`](Self::publish), it vanishes, and the destination is as it
+/// was.
 #[derive(Debug)]
 pub struct StagedFolder {
     place: Place,

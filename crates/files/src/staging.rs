@@ -1,7 +1,7 @@
 //! Folders under construction: their names, their locks, and how they vanish with the command that made them.
 //!
-//! Every one holds the [`MARKER`], which goes last. A folder with a marker that nobody has locked was left by a command that
-//! was killed, and may be removed; a folder without one never is.
+//! Every one holds the [`MARKER`], which goes last. A folder with a marker that nobody has locked was left by a
+//! command that was killed, and may be removed; a folder without one never is.
 
 use crate::{OutputError, tree};
 use std::fs::{self, File, TryLockError};
@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 /// A hidden file in every folder under construction, and in a published one until its clean-up is done.
 pub(crate) const MARKER: &str = ".skclam-staging";
 
-/// Folders of this process that are under construction, each with the folders above it that were made for it, deepest first.
+/// Folders of this process that are under construction, each with the folders above it that were made for it, deepest
+/// first.
 static OPEN: Mutex<Vec<(PathBuf, Vec<PathBuf>)>> = Mutex::new(Vec::new());
 /// Held while results are put in their place, so that a signal waits for the end of that.
 static PUBLISHING: Mutex<()> = Mutex::new(());

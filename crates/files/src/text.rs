@@ -1,7 +1,7 @@
 //! Text that came from a file, made harmless for what shows it.
 //!
-//! Terminals obey control characters, marks of writing direction make a line read as another, and spreadsheets run cells
-//! that begin like a formula.
+//! Terminals obey control characters, marks of writing direction make a line read as another, and spreadsheets run
+//! cells that begin like a formula.
 
 use std::borrow::Cow;
 

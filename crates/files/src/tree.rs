@@ -54,8 +54,8 @@ pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     }
 }
 
-/// Removes a folder that this program made, with its read-only children; what is gone already is no error. Ends early at the
-/// deadline. The marker goes last, so that what is left can be told from a result.
+/// Removes a folder that this program made, with its read-only children; what is gone already is no error. Ends early
+/// at the deadline. The marker goes last, so that what is left can be told from a result.
 pub(crate) fn remove(folder: &Path, deadline: Option<Instant>) -> io::Result<()> {
     for entry in gone_is_empty(fs::read_dir(folder))?.into_iter().flatten() {
         let entry = entry?;

@@ -1,6 +1,6 @@
-//! A publication that is killed, or loses its disk, at every system call that changes names or bytes: the folder is the old result
-//! or the new one, whole, and the next command leaves nothing behind. Needs strace, which injects the faults; without it the tests
-//! say so and pass.
+//! A publication that is killed, or loses its disk, at every system call that changes names or bytes: the folder is
+//! the old result or the new one, whole, and the next command leaves nothing behind. Needs strace, which injects the
+//! faults; without it the tests say so and pass.
 
 use skclam_files::{Contents, StagedFolder, verify};
 use std::fs;

@@ -1,7 +1,7 @@
 //! Whether a JPEG is whole: decoders show grey for what is missing and say nothing.
 //!
-//! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next marker. A search for the bytes of the
-//! end marker alone would find that of a thumbnail in the metadata.
+//! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next
+//! marker. A search for the bytes of the end marker alone would find that of a thumbnail in the metadata.
 
 use super::jpeg_blocks;
 use image::{DynamicImage, GenericImageView};
@@ -61,7 +61,8 @@ fn ends(mut stream: impl BufRead) -> io::Result<bool> {
     }
 }
 
-/// The code of the next marker; `None` at the end of the stream. In entropy-coded data a stuffed zero after 0xFF and restart markers are none.
+/// The code of the next marker; `None` at the end of the stream. In entropy-coded data a stuffed zero after 0xFF and
+/// restart markers are none.
 fn next_marker(stream: &mut impl BufRead, in_scan: bool) -> io::Result<Option<u8>> {
     let mut byte = [0];
     loop {

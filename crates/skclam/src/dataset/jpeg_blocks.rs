@@ -1,5 +1,5 @@
-//! Whether a baseline JPEG has the data of all its blocks: a file that was cut and closed with an end marker looks whole by its
-//! markers, and decoders fill in grey.
+//! Whether a baseline JPEG has the data of all its blocks: a file that was cut and closed with an end marker looks
+//! whole by its markers, and decoders fill in grey.
 //!
 //! The Huffman codes are followed without making pixels of them (ITU-T T.81, annexes C and F).
 

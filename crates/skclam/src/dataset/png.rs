@@ -1,5 +1,5 @@
-//! A PNG without what is no pixel (ISO/IEC 15948): colour profiles and texts are compressed by themselves, and a megabyte of
-//! them unpacks to a gigabyte before the first pixel is seen. Nothing here uses them.
+//! A PNG without what is no pixel (ISO/IEC 15948): colour profiles and texts are compressed by themselves, and a
+//! megabyte of them unpacks to a gigabyte before the first pixel is seen. Nothing here uses them.
 
 const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 /// Signature, length and type of the first chunk, width and height.
@@ -14,8 +14,8 @@ pub(super) fn size(beginning: &[u8]) -> Option<(u32, u32)> {
     (&rest[4..8] == b"IHDR").then_some((number(8)?, number(12)?))
 }
 
-/// Takes all chunks out of a PNG that are not needed for its pixels; other files stay as they are. What follows a chunk that is
-/// cut short is kept, so that the decoder finds the same damage.
+/// Takes all chunks out of a PNG that are not needed for its pixels; other files stay as they are. What follows a
+/// chunk that is cut short is kept, so that the decoder finds the same damage.
 pub(super) fn strip(bytes: &mut Vec<u8>) {
     if !bytes.starts_with(&SIGNATURE) {
         return;

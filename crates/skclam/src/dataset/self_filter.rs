@@ -37,7 +37,8 @@ pub struct SelfFilter {
 }
 
 impl SelfFilter {
-    /// Reads a URDF and the STL files it names (`package://name/...` is looked for in the URDF's folder and in those above it).
+    /// Reads a URDF and the STL files it names (`package://name/...` is looked for in the URDF's folder and in those
+    /// above it).
     ///
     /// # Errors
     /// A URDF that is none, one without any usable shape, or one that lacks a joint of the rig's arm.
@@ -144,9 +145,10 @@ fn mesh(urdf: &Path, name: &str, scale: [f64; 3]) -> Result<BodyShape, String> {
     Ok(BodyShape::Mesh { surface: Arc::new(surface), radius_m })
 }
 
-/// A mesh by its name in the URDF. Plain names and `file://` stay in the URDF's folder. `package://p/rest` is `p/rest` or `rest`
-/// in that folder; in a folder above it that is called `p` or is a ROS package (`package.xml`), `rest`; and beside such folders
-/// `rest` in a package `p`. Nothing else outside of the folder is opened, whatever the URDF names.
+/// A mesh by its name in the URDF. Plain names and `file://` stay in the URDF's folder. `package://p/rest` is
+/// `p/rest` or `rest` in that folder; in a folder above it that is called `p` or is a ROS package (`package.xml`),
+/// `rest`; and beside such folders `rest` in a package `p`. Nothing else outside of the folder is opened, whatever
+/// the URDF names.
 fn find(urdf: &Path, name: &str) -> io::Result<PathBuf> {
     let folder = match urdf.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
