@@ -4,8 +4,7 @@
 //! - [`inside`] decides for the whole program whether a name that came from a file may be followed.
 //! - [`shown`], [`on_screen`] and [`csv_cell`] make text of a file harmless for terminals, pages and spreadsheets.
 //! - [`StagedFolder`] and [`StagedFile`] put results in their place in one step, and [`verify`] notices folders that
-//!   are
-//!   not of one piece.
+//!   are not of one piece.
 //!
 //! It knows no robots, images or formats.
 
