@@ -10,14 +10,15 @@ use clap::{CommandFactory, Parser};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    // A reader that has seen enough (head, less) ends the program quietly.
-    sigpipe::reset();
-    let cli = Cli::parse();
     progress::watch_for_interrupt();
-    match dispatch(&cli) {
+    let cli = Cli::parse();
+    let done = dispatch(&cli);
+    // What fails because the program is about to end is no error of its own.
+    progress::wait_if_interrupted();
+    match done.and_then(|()| screen::end()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", screen::told(error.chain()));
+            screen::error(error.chain());
             ExitCode::FAILURE
         }
     }
@@ -43,7 +44,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<()> {
         Command::Report(args) => commands::report::report(cli, args),
         Command::Compare(args) => commands::report::compare(cli, args),
         Command::Completions { shell } => {
-            clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut std::io::stdout());
+            // Its own way of writing panics where it cannot.
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "skclam", &mut script);
+            screen::say_on!("{}", String::from_utf8_lossy(&script));
             Ok(())
         }
     }

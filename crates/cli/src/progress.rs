@@ -3,23 +3,50 @@
 use cpu_time::ProcessTime;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 use skclam::progress::{Progress, Stage};
+use skclam_files::abandon_everything;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-/// Set by Ctrl-C.
+/// Set by Ctrl-C and SIGTERM.
 static STOP: AtomicBool = AtomicBool::new(false);
 
-/// Lets Ctrl-C end a run at its next step. A second Ctrl-C ends the program at once.
+/// How long a signal waits for results that are being put in their place, and for the removal of unfinished ones.
+const PATIENCE: Duration = Duration::from_millis(700);
+
+/// Lets Ctrl-C, SIGTERM and the end of the terminal end the program at once, whatever it does: what it has under construction
+/// is removed, and the exit code is 128 and the signal's number.
 pub fn watch_for_interrupt() {
-    let installed = ctrlc::set_handler(|| {
-        if STOP.swap(true, Ordering::SeqCst) {
-            std::process::exit(130);
-        }
+    // Whoever started the program with nohup wants it to outlive the terminal.
+    let signals = if hangup_is_ignored() { &[SIGINT, SIGTERM][..] } else { &[SIGINT, SIGTERM, SIGHUP][..] };
+    // Without a handler signals still end the program; only a hidden folder may stay behind.
+    let Ok(mut signals) = Signals::new(signals) else { return };
+    std::thread::spawn(move || {
+        let Some(signal) = signals.forever().next() else { return };
+        STOP.store(true, Ordering::SeqCst);
+        let rest = match abandon_everything(PATIENCE) {
+            true => "",
+            false => "; the next command that writes there removes what is left",
+        };
+        crate::screen::note!("error: interrupted{rest}");
+        std::process::exit(128 + signal);
     });
-    // Without a handler Ctrl-C still ends the program; only a hidden folder may stay behind.
-    drop(installed);
+}
+
+/// Leaves the end of the program to the signal that came, if one did.
+pub fn wait_if_interrupted() {
+    while STOP.load(Ordering::SeqCst) {
+        std::thread::park();
+    }
+}
+
+fn hangup_is_ignored() -> bool {
+    let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return false };
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
 }
 
 /// How long a stage took.

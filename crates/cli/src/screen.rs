@@ -1,6 +1,90 @@
-//! What people read: tables on standard output, warnings on standard error.
+//! What people read: tables on standard output, warnings on standard error. Nothing that a terminal would obey gets through,
+//! wherever a text came from; and a stream that cannot be written to is an error of the command and no panic.
 
+use anyhow::{Context, Result};
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use skclam::output::{Contents, StagedFolder};
+use skclam_files::{json_text, on_screen, shortened, shown};
+use std::fmt::Arguments;
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+/// Prints a line.
+macro_rules! say {
+    () => { $crate::screen::print(format_args!("\n")) };
+    ($($part:tt)*) => { $crate::screen::print(format_args!("{}\n", format_args!($($part)*))) };
+}
+
+/// Prints without an end of line.
+macro_rules! say_on {
+    ($($part:tt)*) => { $crate::screen::print(format_args!($($part)*)) };
+}
+
+/// A line on standard error.
+macro_rules! note {
+    ($($part:tt)*) => { $crate::screen::remark(format_args!($($part)*)) };
+}
+
+pub(crate) use {note, say, say_on};
+
+/// Why standard output could not be written to; nothing is printed after that.
+static FAILURE: Mutex<Option<std::io::Error>> = Mutex::new(None);
+
+/// Prints text in which a terminal finds nothing to obey.
+pub fn print(text: Arguments<'_>) {
+    write(&on_screen(&text.to_string()));
+}
+
+/// Prints a value as JSON.
+pub fn json(value: &impl serde::Serialize) -> Result<()> {
+    write(&(json_text(&serde_json::to_string_pretty(value)?) + "\n"));
+    Ok(())
+}
+
+fn write(text: &str) {
+    let mut failure = FAILURE.lock().unwrap_or_else(PoisonError::into_inner);
+    if failure.is_none() {
+        *failure = std::io::stdout().write_all(text.as_bytes()).err();
+    }
+}
+
+/// Whether all that was printed arrived. A reader that has seen enough (head, less) is no failure.
+pub fn end() -> Result<()> {
+    let failure = FAILURE.lock().unwrap_or_else(PoisonError::into_inner).take();
+    match failure.map_or_else(|| std::io::stdout().flush(), Err) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("standard output"),
+        _ => Ok(()),
+    }
+}
+
+/// A line on standard error. Where that is closed, there is nobody to tell.
+pub fn remark(text: Arguments<'_>) {
+    let _ = writeln!(std::io::stderr(), "{}", on_screen(&text.to_string()));
+}
+
+/// The most characters of a line of an error, and the most lines: some quote the file that they are about.
+const ERROR_CHARS: usize = 1000;
+const ERROR_LINES: usize = 30;
+
+/// The error that ends the program.
+pub fn error<E: std::fmt::Display>(chain: impl IntoIterator<Item = E>) {
+    let told = told(chain);
+    let lines: Vec<_> = told.lines().take(ERROR_LINES).map(|line| shortened(line, ERROR_CHARS)).collect();
+    remark(format_args!("error: {}", lines.join("\n")));
+}
+
+/// Begins a folder of results, and tells what commands that were killed had left beside it.
+pub fn staged(quiet: bool, out: &Path, contents: Contents) -> Result<StagedFolder> {
+    let staged = StagedFolder::new(out, contents)?;
+    let told: Vec<String> = staged
+        .cleaned()
+        .iter()
+        .map(|folder| format!("{} was left by a command that was killed, and is removed", folder.display()))
+        .collect();
+    warn(quiet, &told);
+    Ok(staged)
+}
 
 /// A table whose first column is text and whose others are numbers.
 pub fn table(header: &[&str]) -> Table {
@@ -46,10 +130,10 @@ pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
         return;
     }
     for warning in warnings.iter().take(SHOWN) {
-        eprintln!("warning: {warning}");
+        note!("warning: {}", shortened(&shown(warning), ERROR_CHARS));
     }
     if warnings.len() > SHOWN {
-        eprintln!("warning: ... and {} more; all of them stand in {stand_in}", warnings.len() - SHOWN);
+        note!("warning: ... and {} more; all of them stand in {stand_in}", warnings.len() - SHOWN);
     }
 }
 

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use skclam::dataset::Dataset;
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::progress::Silent;
 use skclam::rig::{Posture, Rig, builtin_rig};
 use skclam::simulation::{
@@ -112,7 +112,7 @@ fn render(folder: &Path, options: &CellOptions) -> Result<()> {
         ..SimulationConfig::default()
     };
     let simulation = Simulation::new(&nominal, &config)?;
-    let staged = StagedFolder::new(folder)?;
+    let staged = StagedFolder::new(folder, Contents::DataSet)?;
     write_virtual_cell(&simulation, &staged, &Silent)?;
     staged.publish()?;
     Ok(())

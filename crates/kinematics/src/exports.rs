@@ -100,9 +100,10 @@ pub fn corrections_csv(nominal: &SerialChain, calibrated: &SerialChain) -> Resul
     let mut text = String::from("joint,name,parameter,unit,nominal,calibrated,correction\n");
     for (index, (before, after)) in nominal.joints().iter().zip(calibrated.joints()).enumerate() {
         // A name with a comma or a quote is quoted as CSV wants it.
-        let name = match before.name.contains([',', '"', '\n', '\r']) {
-            true => format!("\"{}\"", before.name.replace('"', "\"\"")),
-            false => before.name.clone(),
+        let name = skclam_files::csv_cell(&before.name);
+        let name = match name.contains([',', '"']) {
+            true => format!("\"{}\"", name.replace('"', "\"\"")),
+            false => name.into_owned(),
         };
         for kind in before.link.parameters() {
             let (parameter, unit, scale) = match kind {

@@ -76,6 +76,8 @@ impl Bag {
             None if size != length => return Err(format!("a chunk of {length} bytes says it has {size}").into()),
             None => records(&mut body, size, place, connections, visitor)?,
             Some(compression) => {
+                visitor.budget.earn(length);
+                visitor.budget.spend(size)?;
                 let mut bytes = Decoded::new(body, compression, size)?;
                 records(&mut bytes, size, place, connections, visitor)?;
             }

@@ -1,5 +1,6 @@
 //! Bytes of a file or of a compressed chunk, read forwards; what nobody wants is passed over.
 
+use crate::budget::Budget;
 use crate::{MAX_MESSAGE_BYTES, RecordingError};
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
@@ -135,7 +136,7 @@ pub(crate) struct FileBytes {
 impl FileBytes {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io = |source| RecordingError::Io { path: path.to_owned(), source };
-        let file = File::open(path).map_err(io)?;
+        let file = skclam_files::open(path, skclam_files::Kind::Recording).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
         Ok(FileBytes { reader: BufReader::with_capacity(1 << 16, file), path: path.to_owned(), position: 0, length })
     }
@@ -315,11 +316,13 @@ impl Bytes for Checked<'_> {
 }
 
 /// A message that was compressed by itself, as rosbag2 can.
-pub(crate) fn decompressed_message(compressed: &[u8]) -> Result<Vec<u8>, Problem> {
+pub(crate) fn decompressed_message(compressed: &[u8], budget: &mut Budget) -> Result<Vec<u8>, Problem> {
+    let allowed = budget.earn(compressed.len() as u64);
     let mut decoder = zstd::stream::read::Decoder::new(compressed)?;
     decoder.window_log_max(ZSTD_WINDOW_LOG)?;
     let mut message = Vec::new();
-    decoder.take(MAX_MESSAGE_BYTES + 1).read_to_end(&mut message)?;
+    decoder.take(MAX_MESSAGE_BYTES.min(allowed) + 1).read_to_end(&mut message)?;
+    budget.spend(message.len() as u64)?;
     if message.len() as u64 > MAX_MESSAGE_BYTES {
         let problem = format!("a message has more than {MAX_MESSAGE_BYTES} bytes when decompressed");
         return Err(Problem::Damaged(problem));

@@ -66,9 +66,51 @@ impl Database {
     }
 }
 
+/// Where the header says how the database is written (sqlite.org/fileformat): 2 is a write-ahead log.
+const WRITE_VERSION_AT: u64 = 18;
+
+/// The file of the write-ahead log of a database that has one; its messages may lie there alone.
+fn write_ahead_log(path: &Path) -> std::io::Result<Option<PathBuf>> {
+    let mut file = skclam_files::open(path, skclam_files::Kind::Recording)?;
+    let mut version = [0];
+    file.seek(SeekFrom::Start(WRITE_VERSION_AT))?;
+    file.read_exact(&mut version)?;
+    let mut name = path.as_os_str().to_owned();
+    name.push("-wal");
+    Ok((version == [2]).then(|| PathBuf::from(name)))
+}
+
+/// The name of a database beside which nothing is written (sqlite.org/uri).
+fn unchanging(path: &Path) -> String {
+    let mut name = String::from("file:");
+    for &byte in path.as_os_str().as_encoded_bytes() {
+        match byte {
+            b'/' | b'.' | b'-' | b'_' => name.push(char::from(byte)),
+            byte if byte.is_ascii_alphanumeric() => name.push(char::from(byte)),
+            byte => name.push_str(&format!("%{byte:02x}")),
+        }
+    }
+    name + "?immutable=1"
+}
+
 fn connect(path: &Path) -> Result<Connection, Problem> {
+    // Asked first: SQLite makes the log anew where it is missing.
+    let missing_log = write_ahead_log(path)?.filter(|log| !log.exists());
+    // SQLite opens what stands beside the database under its name, whatever it is.
+    for ending in ["-wal", "-shm", "-journal"] {
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(ending);
+        if Path::new(&beside).symlink_metadata().is_ok_and(|metadata| !metadata.is_file()) {
+            let beside = Path::new(&beside).display();
+            return Err(Problem::Damaged(format!("beside it lies {beside}, which is no regular file; move it away")));
+        }
+    }
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let connection = Connection::open_with_flags(path, flags).map_err(problem)?;
+    let connection = match &missing_log {
+        None => Connection::open_with_flags(path, flags),
+        Some(_) => Connection::open_with_flags(unchanging(path), flags | OpenFlags::SQLITE_OPEN_URI),
+    };
+    let connection = connection.map_err(problem)?;
     let most = i32::try_from(MAX_MESSAGE_BYTES).unwrap_or(i32::MAX);
     connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, most).map_err(problem)?;
     // A recording is data: nothing in its schema is run, and damaged pages are noticed when they are read.
@@ -81,8 +123,16 @@ fn connect(path: &Path) -> Result<Connection, Problem> {
             })
             .map_err(problem)?;
         if count != 1 {
-            let problem = format!("the database has no table \"{table}\"; is it a recording of rosbag2?");
-            return Err(Problem::Damaged(problem));
+            let hint = match &missing_log {
+                Some(log) => {
+                    format!(
+                        "it was written with a log, {}, which is missing: copy that file beside it too",
+                        log.display()
+                    )
+                }
+                None => "is it a recording of rosbag2?".to_owned(),
+            };
+            return Err(Problem::Damaged(format!("the database has no table \"{table}\"; {hint}")));
         }
     }
     Ok(connection)
@@ -164,5 +214,40 @@ impl Bytes for BlobBytes<'_> {
 
     fn left(&self) -> u64 {
         self.length.saturating_sub(self.position)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_log_is_named_and_not_made_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a b%?.db3");
+        let writer = Connection::open(&path).unwrap();
+        writer.pragma_update(None, "journal_mode", "WAL").unwrap();
+        writer.execute_batch("CREATE TABLE topics (id INTEGER); CREATE TABLE messages (id INTEGER);").unwrap();
+        let copied = folder.path().join("copy of a?.db3");
+        std::fs::copy(&path, &copied).unwrap();
+        let message = Database::open(&copied).map(drop).unwrap_err().to_string();
+        assert!(message.contains("copy of a?.db3-wal, which is missing"), "{message}");
+        let beside = std::fs::read_dir(folder.path()).unwrap().flatten();
+        let copies = beside.filter(|entry| entry.file_name().to_string_lossy().starts_with("copy")).count();
+        assert_eq!(copies, 1, "a file was made beside the recording");
+        drop(writer);
+        // Closed in order, the database holds all, and has no log.
+        Database::open(&path).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_lies_beside_under_the_names_of_sqlite_is_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db3");
+        Connection::open(&path).unwrap().execute_batch("CREATE TABLE topics (id INTEGER)").unwrap();
+        std::os::unix::fs::symlink("/dev/zero", folder.path().join("a.db3-journal")).unwrap();
+        let message = Database::open(&path).map(drop).unwrap_err().to_string();
+        assert!(message.contains("a.db3-journal, which is no regular file"), "{message}");
     }
 }

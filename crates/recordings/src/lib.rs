@@ -11,6 +11,7 @@
 //! This crate knows joints by name and cameras by their intrinsics. It knows no estimator, no features and no map.
 
 mod bag;
+mod budget;
 mod bytes;
 mod camera;
 mod database;

@@ -94,6 +94,8 @@ fn chunk(
                 "zstd" => Compression::Zstd,
                 _ => return Err(format!("a chunk is compressed with {name:?}; lz4 and zstd are read").into()),
             };
+            visitor.budget.earn(stored);
+            visitor.budget.spend(length)?;
             let mut bytes = Decoded::new(body, compression, length)?;
             records(&mut bytes, length, place, schemas, channels, visitor)?;
             found = Some(bytes.checksum());
@@ -122,8 +124,8 @@ fn records(
         left = left
             .checked_sub(length.saturating_add(9))
             .ok_or_else(|| format!("a record of {length} bytes in a chunk where {left} are left"))?;
-        if opcode == CHUNK {
-            return Err("a chunk in a chunk".to_owned().into());
+        if matches!(opcode, 0 | CHUNK) {
+            return Err(format!("a record of the kind {opcode} in a chunk, where it cannot be").into());
         }
         plain_record(opcode, bytes, length, place, schemas, channels, visitor)?;
         place.ordinal = place.ordinal.saturating_add(u32::from(opcode == MESSAGE));

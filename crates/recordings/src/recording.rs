@@ -1,6 +1,7 @@
 //! A recording of any kind as one stream of messages.
 
 use crate::bag::Bag;
+use crate::budget::Budget;
 use crate::bytes::{Bytes, Problem, decompressed_message};
 use crate::database::Database;
 use crate::mcap::Mcap;
@@ -112,13 +113,15 @@ pub(crate) struct Visitor<'a> {
     pub want: &'a mut dyn FnMut(&Topic, Place) -> Wanted,
     pub visit: &'a mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     pub buffer: &'a mut Vec<u8>,
+    /// What may still be unpacked in this pass.
+    pub budget: &'a mut Budget,
 }
 
 /// Topics of a file by the number that the file gives them.
 pub(crate) type TopicIds = HashMap<u64, usize>;
 
-/// The most topics of a recording.
-const MAX_TOPICS: usize = 1 << 16;
+/// The most topics of a recording; they are looked up one by one.
+const MAX_TOPICS: usize = 1 << 13;
 /// The most files of a recording.
 const MAX_FILES: usize = 1 << 16;
 /// How a zstd frame begins. No CDR message begins so.
@@ -182,7 +185,7 @@ impl Visitor<'_> {
             bytes.read_into(&mut rest, left, MAX_MESSAGE_BYTES, "a message")?;
             left = 0;
             self.buffer.append(&mut rest);
-            decompressed = Some(decompressed_message(self.buffer)?);
+            decompressed = Some(decompressed_message(self.buffer, self.budget)?);
         }
         let data = decompressed.as_ref().unwrap_or(self.buffer);
         let length = decompressed.as_ref().map_or(length, |message| message.len() as u64);
@@ -230,6 +233,7 @@ impl Recording {
         want: &mut dyn FnMut(&Topic, Place) -> Wanted,
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
+        let mut budget = Budget::default();
         for (index, file) in self.files.iter_mut().enumerate() {
             let mut visitor = Visitor {
                 topics: &mut self.topics,
@@ -238,6 +242,7 @@ impl Recording {
                 want: &mut *want,
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
+                budget: &mut budget,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.scan(&mut visitor)?,
@@ -256,6 +261,7 @@ impl Recording {
         places: &[Place],
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
+        let mut budget = Budget::default();
         let mut places = places.to_vec();
         places.sort_unstable();
         places.dedup();
@@ -273,6 +279,7 @@ impl Recording {
                 want: &mut want,
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
+                budget: &mut budget,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.read_record(offset, &mut visitor)?,
@@ -289,7 +296,7 @@ type Opened = (RecordingFormat, Vec<RecordingFile>);
 
 fn open_file(path: &Path) -> Result<Opened, RecordingError> {
     let mut beginning = Vec::new();
-    std::fs::File::open(path)
+    skclam_files::open(path, skclam_files::Kind::Recording)
         .and_then(|file| file.take(16).read_to_end(&mut beginning))
         .map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
     if beginning.starts_with(b"#ROSBAG V") {

@@ -5,10 +5,7 @@ use crate::bytes::{Bytes, FileBytes, Problem};
 use crate::recording::{Place, Topic, Visitor};
 use crate::{MessageKind, RecordingError, Stamp, Wanted};
 use std::io::{BufRead, Read};
-use std::path::{Component, Path, PathBuf};
-
-/// Bytes of a list at the most.
-const MAX_LIST: u64 = 64 << 20;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug)]
 pub(crate) struct TumFolder {
@@ -53,7 +50,7 @@ impl TumFolder {
             MessageKind::ImageFile => self.folder.join(&entry.text),
             _ => self.folder.join("groundtruth.txt"),
         };
-        visit(entry, offset, &path, visitor).map_err(|problem| match problem.at(&path, 0) {
+        visit(entry, offset, &self.folder, &path, visitor).map_err(|problem| match problem.at(&path, 0) {
             // Here a message is a file, and that is what a person looks for.
             RecordingError::Message { problem, .. } => RecordingError::Format { path, problem },
             other => other,
@@ -61,7 +58,7 @@ impl TumFolder {
     }
 }
 
-fn visit(entry: &Entry, offset: u64, path: &Path, visitor: &mut Visitor<'_>) -> Result<(), Problem> {
+fn visit(entry: &Entry, offset: u64, folder: &Path, path: &Path, visitor: &mut Visitor<'_>) -> Result<(), Problem> {
     let (name, kind) = LISTS[entry.list];
     let topic = topic(name, kind, visitor);
     let place = Place { file: visitor.file, offset, ordinal: 0 };
@@ -73,7 +70,12 @@ fn visit(entry: &Entry, offset: u64, path: &Path, visitor: &mut Visitor<'_>) -> 
     if wanted == Wanted::Nothing {
         return Ok(());
     }
+    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    skclam_files::inside(folder, &entry.text).map_err(io)?;
     let mut file = FileBytes::open(path)?;
+    if file.length > skclam_files::Kind::Image.max_bytes() {
+        return Err(format!("an image of {} bytes", file.length).into());
+    }
     let length = file.length;
     visitor.message_as_wanted(wanted, topic, entry.stamp, place, &mut file, length)
 }
@@ -90,16 +92,12 @@ fn topic(name: &str, kind: MessageKind, visitor: &mut Visitor<'_>) -> usize {
 
 fn read_list(path: &Path, list: usize, kind: MessageKind, entries: &mut Vec<Entry>) -> Result<(), RecordingError> {
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(io)?;
-    let length = file.metadata().map_err(io)?.len();
+    let file = skclam_files::open(path, skclam_files::Kind::List).map_err(io)?;
     let wrong = |line: usize, problem: String| RecordingError::Format {
         path: path.to_owned(),
         problem: format!("line {line}: {problem}"),
     };
-    if length > MAX_LIST {
-        return Err(wrong(0, format!("the list has {length} bytes; at most {MAX_LIST} are read")));
-    }
-    for (index, line) in std::io::BufReader::new(file.take(MAX_LIST)).lines().enumerate() {
+    for (index, line) in std::io::BufReader::new(file.take(skclam_files::Kind::List.max_bytes())).lines().enumerate() {
         let line = line.map_err(|error| wrong(index + 1, error.to_string()))?;
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
@@ -110,9 +108,7 @@ fn read_list(path: &Path, list: usize, kind: MessageKind, entries: &mut Vec<Entr
             .ok_or_else(|| wrong(index + 1, "a time and what was taken then are expected".to_owned()))?;
         let stamp = nanoseconds(time).ok_or_else(|| wrong(index + 1, format!("{time:?} is no time in seconds")))?;
         let text = text.trim().to_owned();
-        if kind == MessageKind::ImageFile
-            && !Path::new(&text).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
-        {
+        if kind == MessageKind::ImageFile && !skclam_files::is_inside(Path::new(&text)) {
             return Err(wrong(index + 1, format!("{text:?} leaves the folder")));
         }
         entries.push(Entry { list, stamp, text });

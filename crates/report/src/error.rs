@@ -14,6 +14,9 @@ pub enum ReportError {
         /// Why.
         source: std::io::Error,
     },
+    /// The folder is not of one piece.
+    #[error(transparent)]
+    Folder(#[from] skclam_files::OutputError),
     /// A file does not hold what a run writes.
     #[error("{}: {problem}", path.display())]
     Content {

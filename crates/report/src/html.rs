@@ -10,8 +10,10 @@ pub(crate) fn escaped(text: &str) -> String {
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
-            // What HTML has no place for.
-            control if control.is_control() && control != '\n' && control != '\t' => out.push('\u{fffd}'),
+            // What HTML has no place for, and what would make a line read as another.
+            harmful if skclam_files::is_harmful(harmful) && harmful != '\n' && harmful != '\t' => {
+                out.extend(harmful.escape_unicode())
+            }
             other => out.push(other),
         }
     }
@@ -21,7 +23,8 @@ pub(crate) fn escaped(text: &str) -> String {
 /// JSON inside `<script>`: no `<`, so that nothing in a string can end the element or begin a comment.
 pub(crate) fn script_json(value: &impl serde::Serialize) -> String {
     // Values made of numbers, strings and maps with string keys cannot fail.
-    serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned()).replace('<', "\\u003c")
+    let json = serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned());
+    skclam_files::json_text(&json).replace('<', "\\u003c")
 }
 
 /// A table that scrolls by itself where the screen is narrow. `caption`, `head` and `rows` are HTML.
@@ -74,7 +77,8 @@ mod tests {
 
     #[test]
     fn nothing_from_outside_becomes_markup() {
-        assert_eq!(escaped("<b a=\"'&\u{1}"), "&lt;b a=&quot;&#39;&amp;\u{fffd}");
+        assert_eq!(escaped("<b a=\"'&\u{1}"), "&lt;b a=&quot;&#39;&amp;\\u{1}");
+        assert_eq!(escaped("\u{202e}a\u{2069}"), "\\u{202e}a\\u{2069}");
         let json = script_json(&"</script><!-- <script>");
         assert!(!json.contains('<'), "{json}");
         assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "</script><!-- <script>");

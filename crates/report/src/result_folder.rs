@@ -25,8 +25,10 @@ impl RunResult {
     /// Where `summary.json` is missing or is none, where `report_data.json` is damaged or of an unknown format.
     pub fn read(folder: impl AsRef<Path>) -> Result<Self, ReportError> {
         let folder = folder.as_ref();
+        skclam_files::verify(folder)?;
         let path = folder.join("summary.json");
-        let text = fs::read_to_string(&path).map_err(|source| ReportError::Io { path: path.clone(), source })?;
+        let text = skclam_files::read_text(&path, skclam_files::Kind::Summary)
+            .map_err(|source| ReportError::Io { path: path.clone(), source })?;
         let content = |error: serde_json::Error| ReportError::Content {
             path: path.clone(),
             problem: format!("is no summary of a run: {error}"),
@@ -65,7 +67,7 @@ impl RunResult {
 
 fn data(folder: &Path) -> Result<Option<ReportData>, ReportError> {
     let path = folder.join("report_data.json");
-    let text = match fs::read_to_string(&path) {
+    let text = match skclam_files::read_text(&path, skclam_files::Kind::ReportData) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(source) => return Err(ReportError::Io { path, source }),

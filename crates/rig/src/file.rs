@@ -9,7 +9,6 @@ mod write;
 
 use crate::Rig;
 use read::Reader;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use tables::RigFile;
 use write::file_of;
@@ -46,24 +45,12 @@ pub enum RigFileError {
     },
 }
 
-/// The largest rig file that is read; a real one has a few kilobytes.
-const MAX_RIG_BYTES: u64 = 4 << 20;
-
 impl Rig {
     /// Reads `rig.toml`.
     pub fn read(path: impl AsRef<Path>) -> Result<Rig, RigFileError> {
         let path = path.as_ref();
         let io = |source| RigFileError::Io { path: path.to_owned(), source };
-        // The limit is on what is read: what is no regular file tells no length.
-        let mut text = String::new();
-        let file = std::fs::File::open(path).map_err(io)?;
-        file.take(MAX_RIG_BYTES + 1).read_to_string(&mut text).map_err(io)?;
-        if text.len() as u64 > MAX_RIG_BYTES {
-            let problem = format!(
-                "the file has more than {MAX_RIG_BYTES} bytes; a rig has a few thousand. Is this the right file?"
-            );
-            return Err(RigFileError::Value { path: path.to_owned(), key: "file".to_owned(), problem });
-        }
+        let text = skclam_files::read_text(path, skclam_files::Kind::Rig).map_err(io)?;
         Rig::from_toml(&text, path)
     }
 

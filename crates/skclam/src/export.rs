@@ -208,6 +208,7 @@ fn parameter(nominal: &SerialChain, calibrated: &SerialChain, id: ParameterId) -
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::Contents;
     use skclam_rig::builtin_rig;
     use skclam_simulation::{PerturbationSigmas, perturb_random};
 
@@ -233,7 +234,7 @@ mod tests {
         let calibrated = perturb_random(&nominal, 3, &PerturbationSigmas::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("export");
-        let staged = StagedFolder::new(&out).unwrap();
+        let staged = StagedFolder::new(&out, Contents::Export).unwrap();
         let done = export(None, &calibrated, Some(&source), &ExportOptions::default(), &staged).unwrap();
         staged.publish().unwrap();
         let text = std::fs::read_to_string(out.join("robot.urdf")).unwrap();
@@ -256,7 +257,7 @@ mod tests {
         let calibrated = perturb_random(&nominal, 3, &PerturbationSigmas::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("export");
-        let staged = StagedFolder::new(&out).unwrap();
+        let staged = StagedFolder::new(&out, Contents::Export).unwrap();
         let done = export(Some(&nominal), &calibrated, None, &ExportOptions::default(), &staged).unwrap();
         staged.publish().unwrap();
         assert!(out.join("kinematics.yaml").is_file() && done.left_out.is_empty() && done.urdf_diff.is_none());
@@ -267,7 +268,7 @@ mod tests {
         assert!(json["parameters"][0]["correction"].as_f64().unwrap() != 0.0);
         assert!(done.static_transform.starts_with("ros2 run tf2_ros static_transform_publisher"));
         let handless = Rig { robot: None, ..nominal };
-        let staged = StagedFolder::new(folder.path().join("other")).unwrap();
+        let staged = StagedFolder::new(folder.path().join("other"), Contents::Export).unwrap();
         let error = export(Some(&handless), &calibrated, None, &ExportOptions::default(), &staged).unwrap_err();
         assert!(error.to_string().contains("the nominal rig has no [robot]"));
     }

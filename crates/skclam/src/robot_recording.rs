@@ -102,7 +102,9 @@ fn images<W: Write + Seek>(
 ) -> Result<(), RobotRecordingError> {
     let record = &dataset.records[at];
     let path = dataset.folder.join(&record.color);
-    let bytes = std::fs::read(&path).map_err(|source| DatasetError::Io { path: path.clone(), source })?;
+    let bytes = skclam_files::inside(&dataset.folder, &record.color)
+        .and_then(|path| skclam_files::read(path, skclam_files::Kind::Image))
+        .map_err(|source| DatasetError::Io { path: path.clone(), source })?;
     let format = if bytes.starts_with(b"\x89PNG") { "rgb8; png compressed" } else { "rgb8; jpeg compressed bgr8" };
     let mut message = Cdr::header(time_s, COLOR_FRAME);
     message.string(format);

@@ -56,7 +56,8 @@ pub fn trajectory_text(poses: &[StampedPose]) -> String {
 
 /// Reads a trajectory; lines that begin with `#` are comments.
 pub fn read_trajectory(path: &Path) -> Result<Vec<StampedPose>, TrajectoryError> {
-    let text = std::fs::read_to_string(path).map_err(|source| TrajectoryError::Io { path: path.to_owned(), source })?;
+    let text = skclam_files::read_text(path, skclam_files::Kind::Trajectory)
+        .map_err(|source| TrajectoryError::Io { path: path.to_owned(), source })?;
     let mut poses = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let line = line.trim();

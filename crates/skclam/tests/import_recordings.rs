@@ -3,7 +3,7 @@
 
 use skclam::dataset::Dataset;
 use skclam::import::{ImportOptions, import_recording};
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::progress::Silent;
 use skclam::recordings::{Recording, Selection};
 use skclam::rig::{PostureState, Rig};
@@ -40,7 +40,7 @@ fn five_recordings_give_the_same_three_postures() {
         for color_topic in ["/camera/color/image_raw", "/camera/color/image_raw/compressed"] {
             let raw = color_topic.ends_with("raw");
             let out = folder.path().join(format!("{name}-{raw}"));
-            let staged = StagedFolder::new(&out).unwrap();
+            let staged = StagedFolder::new(&out, Contents::DataSet).unwrap();
             // The raw topic is the one that is found without a name.
             let options =
                 ImportOptions { color_topic: (!raw).then(|| color_topic.to_owned()), ..ImportOptions::default() };
@@ -97,7 +97,7 @@ fn bare_frames_of_librealsense_are_told() {
     writer.finish().unwrap();
     drop(writer);
     let rig = skclam::rig::builtin_rig("hp3j").unwrap().unwrap();
-    let staged = StagedFolder::new(folder.path().join("out")).unwrap();
+    let staged = StagedFolder::new(folder.path().join("out"), Contents::DataSet).unwrap();
     let mut recording = Recording::open(&path).unwrap();
     let error = import_recording(&mut recording, &rig, None, &ImportOptions::default(), &staged, &Silent).unwrap_err();
     let message = error.to_string();

@@ -1,12 +1,12 @@
 //! `skclam compensate`.
 
 use crate::args::Cli;
-use crate::screen;
+use crate::screen::{self, say};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueHint};
 use skclam::compensation::{CompensationOptions, TrueArm, read_targets, write_compensated};
 use skclam::kinematics::SerialChain;
-use skclam::output::StagedFolder;
+use skclam::output::StagedFile;
 use skclam::rig::Rig;
 use std::path::{Path, PathBuf};
 
@@ -29,6 +29,10 @@ pub struct CompensateArgs {
 
 /// Turns targets into what to command.
 pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
+    if same_file(&args.targets, &args.out) {
+        bail!("{}: holds the targets, which would be lost; name another file", args.out.display());
+    }
+    let staged = StagedFile::new(&args.out)?;
     let nominal = arm(&args.nominal)?;
     let rig = Rig::read(&args.calibrated)?;
     let chain = rig.robot.as_ref().with_context(|| no_robot(&args.calibrated))?;
@@ -52,7 +56,8 @@ pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
         let (targets, count) = (args.targets.display(), answers.len());
         bail!("{targets}, line {line}: {problem} (nor is there a command for another of the {count} targets)");
     }
-    write_whole(&args.out, &write_compensated(&table, &answers, &nominal))?;
+    staged.write(write_compensated(&table, &answers, &nominal))?;
+    staged.publish()?;
     let told: Vec<String> = unreachable
         .iter()
         .map(|(line, problem)| format!("{}, line {line}: no command: {problem}", args.targets.display()))
@@ -67,10 +72,10 @@ pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
             "targets": answers.len(), "compensated": misses.len(), "without_command": unreachable,
             "uncorrected_mean_mm": mean, "uncorrected_max_mm": largest,
         });
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        screen::json(&summary)?;
     } else {
         let of = if unreachable.is_empty() { String::new() } else { format!("{} of ", misses.len()) };
-        println!(
+        say!(
             "{of}{} targets; uncorrected they would be missed by {mean:.3} mm in the mean, {largest:.3} mm at most\nCommands: {}",
             answers.len(),
             args.out.display()
@@ -87,12 +92,6 @@ fn no_robot(path: &Path) -> String {
     format!("{}: the rig has no [robot]", path.display())
 }
 
-/// A single file, whole or not at all.
-fn write_whole(path: &Path, text: &str) -> Result<()> {
-    let name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let staged = StagedFolder::new(folder)?;
-    staged.write(name, text)?;
-    staged.publish()?;
-    Ok(())
+fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

@@ -2,7 +2,8 @@
 
 use crate::args::{Cli, EvaluateArgs};
 use crate::commands::render::read as read_map;
-use crate::screen;
+use crate::commands::rig_of;
+use crate::screen::{self, say};
 use anyhow::{Result, bail};
 use skclam::dataset::Dataset;
 use skclam::evaluation::{Evaluation, PoseErrors, evaluate as compare};
@@ -12,8 +13,7 @@ use skclam::surface_evaluation::evaluate_surface;
 
 /// Compares a rig with the true one.
 pub fn evaluate(cli: &Cli, args: &EvaluateArgs) -> Result<()> {
-    let path = if args.result.is_dir() { args.result.join("rig.toml") } else { args.result.clone() };
-    let rig = Rig::read(path)?;
+    let rig = rig_of(&args.result)?;
     let truth = Rig::read(&args.truth)?;
     let dataset = Dataset::open_with_rig(&args.dataset, truth.clone())?;
     let postures: Vec<_> = dataset.records.iter().map(|record| record.posture.clone()).collect();
@@ -33,7 +33,7 @@ pub fn evaluate(cli: &Cli, args: &EvaluateArgs) -> Result<()> {
         if let (Some(score), Some(object)) = (&surface, value.as_object_mut()) {
             object.insert("surface".to_owned(), serde_json::to_value(score)?);
         }
-        println!("{}", serde_json::to_string_pretty(&value)?);
+        screen::json(&value)?;
     } else {
         show(&evaluation);
         if let Some(score) = &surface {
@@ -54,7 +54,7 @@ fn show_surface(score: &SurfaceScore) {
     let mut cells = vec!["F-score".to_owned(), String::new(), String::new()];
     cells.extend(score.f_score.map(|share| format!("{share:.3}")));
     table.add_row(cells);
-    println!("{table}\nOver the observed part of the true surface ({:.0} %).", score.observed * 100.0);
+    say!("{table}\nOver the observed part of the true surface ({:.0} %).", score.observed * 100.0);
 }
 
 /// The tables of an evaluation.
@@ -69,7 +69,7 @@ pub fn show(evaluation: &Evaluation) {
             parameter.unit.clone(),
         ]);
     }
-    println!("{table}\n");
+    say!("{table}\n");
     let mut table = screen::table(&["pose errors", "mean", "sd", "max", "unit"]);
     let rows: [(&str, &PoseErrors); 4] = [
         ("flange", &evaluation.flange),
@@ -89,8 +89,8 @@ pub fn show(evaluation: &Evaluation) {
             ]);
         }
     }
-    println!("{table}");
-    println!(
+    say!("{table}");
+    say!(
         "{} postures. The base's gauge: a turn about and a shift along axis 1, which no image can tell.",
         evaluation.postures
     );

@@ -1,15 +1,16 @@
 //! `skclam export`.
 
 use crate::args::Cli;
+use crate::commands::rig_of;
 use crate::progress::Screen;
-use crate::screen;
+use crate::screen::{self, say, say_on};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueHint};
 use serde::Serialize;
 use skclam::dataset::Dataset;
 use skclam::export::{ExportOptions, Exported, UrdfSource, export as write_export};
 use skclam::kinematics::{chain_from_urdf, urdf_ends};
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::result_recording::{RecordedResult, ResultRecordingOptions, record_result};
 use skclam::rig::Rig;
 use std::fs::File;
@@ -69,8 +70,7 @@ struct Done {
 
 /// Writes the calibrated arm in the forms that other programs read, and the result as a recording.
 pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
-    let path = if args.result.is_dir() { args.result.join("rig.toml") } else { args.result.clone() };
-    let calibrated = Rig::read(path)?;
+    let calibrated = rig_of(&args.result)?;
     let nominal = args.nominal.as_ref().map(Rig::read).transpose()?;
     let dataset = match (&args.dataset, &nominal) {
         (Some(folder), Some(rig)) => Some(Dataset::open_with_rig(folder, rig.clone())?),
@@ -85,7 +85,7 @@ pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
         (None, Some(dataset), None) => Some(dataset.rig.clone()),
         (nominal, _, _) => nominal,
     };
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = screen::staged(cli.quiet, &args.out, Contents::Export)?;
     // A result of flange poses has no arm, but can be looked at.
     let arm = match calibrated.robot.is_some() || !args.mcap {
         true => Some(write_export(nominal.as_ref(), &calibrated, urdf.as_ref(), &options(args), &staged)?),
@@ -98,7 +98,7 @@ pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
     let folder = staged.publish()?;
     let done = Done { arm, mcap };
     if cli.json {
-        println!("{}", serde_json::to_string_pretty(&done)?);
+        screen::json(&done)?;
     } else {
         show(cli, args, &done, &folder);
     }
@@ -136,9 +136,9 @@ fn show(cli: &Cli, args: &ExportArgs, done: &Done, folder: &Path) {
     let mut files = Vec::new();
     if let Some(arm) = &done.arm {
         if let (true, Some(diff)) = (args.diff, &arm.urdf_diff) {
-            print!("{diff}");
+            say_on!("{diff}");
         }
-        println!("{}", arm.static_transform);
+        say!("{}", arm.static_transform);
         files.extend(arm.files.iter().map(String::as_str));
     }
     if let Some(mcap) = &done.mcap {
@@ -146,22 +146,16 @@ fn show(cli: &Cli, args: &ExportArgs, done: &Done, folder: &Path) {
         for (topic, count) in &mcap.messages {
             table.add_row([topic.clone(), count.to_string()]);
         }
-        println!("{table}");
+        say!("{table}");
         files.push("result.mcap");
     }
-    println!("Files: {} in {}", files.join(", "), folder.display());
+    say!("Files: {} in {}", files.join(", "), folder.display());
 }
-
-/// The largest robot description that is read; meshes lie in files of their own.
-const MAX_URDF_BYTES: u64 = 16 << 20;
 
 fn urdf_source(path: &Path, args: &ExportArgs) -> Result<UrdfSource> {
     let shown = path.display();
-    let length = std::fs::metadata(path).with_context(|| shown.to_string())?.len();
-    if length > MAX_URDF_BYTES {
-        bail!("{shown}: {length} bytes; a robot description has at most {MAX_URDF_BYTES}");
-    }
-    let text = std::fs::read_to_string(path).with_context(|| shown.to_string())?;
+    let text =
+        skclam_files::read_text(path, skclam_files::Kind::RobotDescription).with_context(|| shown.to_string())?;
     let (bases, tips) = urdf_ends(&text).with_context(|| shown.to_string())?;
     let choose = |option: &str, given: &Option<String>, found: Vec<String>| match (given, found.as_slice()) {
         (Some(link), _) => Ok(link.clone()),

@@ -3,12 +3,12 @@
 use crate::args::Cli;
 use crate::commands::simulate::rig as builtin_or_file;
 use crate::progress::Screen;
-use crate::screen;
+use crate::screen::{self, say};
 use anyhow::{Context, Result, bail};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueHint};
 use skclam::import::{CameraSource, DepthChoice, ImportOptions, import_recording, read_joint_log};
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::recordings::{Recording, Selection, SelectionOptions};
 use skclam::rig::{Rig, builtin_names};
 use std::path::{Path, PathBuf};
@@ -81,7 +81,7 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
         (Some(_), None) => bail!("--joints: the rig has no [robot]"),
         (None, _) => None,
     };
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = screen::staged(cli.quiet, &args.out, Contents::DataSet)?;
     let screen = Screen::new(cli.quiet);
     let mut recording = Recording::open(&args.recording)?;
     let summary = import_recording(&mut recording, &rig, joint_log, &options(args), &staged, &screen)?;
@@ -91,7 +91,7 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     let folder = staged.publish()?;
     screen.finish();
     if cli.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        screen::json(&summary)?;
         return Ok(());
     }
     let mut warnings = summary.warnings.clone();
@@ -100,14 +100,14 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     }
     screen::warn(cli.quiet, &warnings);
     let depth = summary.depth_topic.as_deref().unwrap_or("none");
-    println!("Colour: {} ({} images)\nDepth:  {depth}", summary.color_topic, summary.color_images);
-    println!("Joints: {}", summary.joint_topic);
+    say!("Colour: {} ({} images)\nDepth:  {depth}", summary.color_topic, summary.color_images);
+    say!("Joints: {}", summary.joint_topic);
     let lacking = match summary.without_depth {
         0 => String::new(),
         count => format!(", {count} without depth"),
     };
-    println!("{} postures{lacking}\nData set: {}", summary.postures, folder.display());
-    println!("Look at it before you calibrate: skclam inspect {}", folder.display());
+    say!("{} postures{lacking}\nData set: {}", summary.postures, folder.display());
+    say!("Look at it before you calibrate: skclam inspect {}", folder.display());
     Ok(())
 }
 
@@ -151,8 +151,9 @@ fn options(args: &ImportArgs) -> ImportOptions {
 fn copy_masks(rig: &Rig, path: &Path, staged: &StagedFolder) -> Result<()> {
     let folder = path.parent().unwrap_or(Path::new(""));
     for name in [&rig.color_mask, &rig.depth_mask].into_iter().flatten() {
-        let mask = folder.join(name);
-        let bytes = std::fs::read(&mask).with_context(|| format!("the mask {}", mask.display()))?;
+        let bytes = skclam_files::inside(folder, name)
+            .and_then(|mask| skclam_files::read(mask, skclam_files::Kind::Image))
+            .with_context(|| format!("the mask {}", folder.join(name).display()))?;
         staged.write(name, bytes)?;
     }
     Ok(())

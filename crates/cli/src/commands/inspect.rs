@@ -2,7 +2,7 @@
 
 use crate::args::Cli;
 use crate::progress::Screen;
-use crate::screen;
+use crate::screen::{self, say};
 use anyhow::Result;
 use clap::{Args, ValueHint};
 use comfy_table::Table;
@@ -10,6 +10,7 @@ use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::inspection::{ExpectedSigmas, Inspection, InspectionOptions, inspect as judge};
 use skclam::recordings::{Recording, Survey, TopicSurvey, survey};
+use skclam_files::shown;
 use std::path::PathBuf;
 
 /// Arguments of `inspect`.
@@ -33,7 +34,7 @@ pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
         let inspection = judge(&dataset, &options, &screen)?;
         screen.finish();
         if cli.json {
-            println!("{}", serde_json::to_string_pretty(&inspection)?);
+            screen::json(&inspection)?;
         } else {
             show_dataset(cli, &inspection);
         }
@@ -41,11 +42,11 @@ pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
     }
     let mut survey = survey(&mut Recording::open(&args.path)?)?;
     if cli.json {
-        println!("{}", serde_json::to_string_pretty(&survey)?);
+        screen::json(&survey)?;
     } else {
         for topic in &mut survey.topics {
             for text in [&mut topic.topic, &mut topic.type_name, &mut topic.detail] {
-                *text = harmless(text);
+                *text = shown(text).into_owned();
             }
         }
         show_recording(cli, &survey);
@@ -54,11 +55,11 @@ pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
 }
 
 fn show_recording(cli: &Cli, survey: &Survey) {
-    println!("{}", topics(survey));
+    say!("{}", topics(survey));
     for topic in &survey.topics {
-        println!("{}", described(topic));
+        say!("{}", described(topic));
     }
-    println!("{} messages in {:.3} s", survey.messages, survey.duration_s);
+    say!("{} messages in {:.3} s", survey.messages, survey.duration_s);
     let mut warnings = Vec::new();
     for topic in survey.topics.iter().filter(|topic| topic.read) {
         for jump in topic.first_jumps.iter().take(3) {
@@ -78,12 +79,6 @@ fn show_recording(cli: &Cli, survey: &Survey) {
         }
     }
     screen::warn(cli.quiet, &warnings);
-}
-
-/// Text of a file without what a terminal would obey.
-fn harmless(text: &str) -> String {
-    let shown = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
-    text.chars().map(shown).collect()
 }
 
 /// The width that every terminal has.
@@ -167,7 +162,7 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
                 joint.distinct.to_string(),
             ]);
         }
-        println!("{table}\n");
+        say!("{table}\n");
     }
     let partners =
         |position: usize| inspection.pairs.iter().filter(|pair| pair.a == position || pair.b == position).count();
@@ -191,15 +186,15 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
             partners(position).to_string(),
         ]);
     }
-    println!("{table}");
-    println!(
+    say!("{table}");
+    say!(
         "{} postures, {} pairs that should see the same, {} connected group(s)",
         inspection.postures,
         inspection.pairs.len(),
         inspection.groups.len()
     );
     if let Some(board) = &inspection.board {
-        println!("Board: {} corners in {} postures", board.corners, board.postures);
+        say!("Board: {} corners in {} postures", board.corners, board.postures);
     }
     if let Some(expected) = &inspection.expected {
         show_expected(expected);
@@ -208,7 +203,7 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
 }
 
 fn show_expected(expected: &ExpectedSigmas) {
-    println!();
+    say!();
     let mut table = screen::table(&["parameter", "expected sigma", "unit"]);
     for parameter in &expected.parameters {
         table.add_row([
@@ -217,11 +212,11 @@ fn show_expected(expected: &ExpectedSigmas) {
             parameter.unit.to_owned(),
         ]);
     }
-    println!("{table}");
+    say!("{table}");
     if expected.parameters.iter().any(|parameter| parameter.sigma.is_none()) {
-        println!("-: these postures say next to nothing of it; it keeps its tolerance");
+        say!("-: these postures say next to nothing of it; it keeps its tolerance");
     }
-    println!(
+    say!(
         "camera over the postures: expected sigma {:.3} mm and {:.4} deg in the mean, {:.3} mm and {:.4} deg at most",
         expected.camera_sigma_mm.mean,
         expected.camera_sigma_deg.mean,
@@ -234,10 +229,11 @@ fn show_expected(expected: &ExpectedSigmas) {
         (0, corners) => format!("{corners} corners of the board"),
         (sights, corners) => format!("{sights} sights and {corners} corners of the board"),
     };
-    println!("predicted for {sights} with {} px{depth} of noise", expected.pixel_sigma);
-    println!(
+    say!("predicted for {sights} with {} px{depth} of noise", expected.pixel_sigma);
+    say!(
         "{} of {} combinations of parameters can be told to half of their tolerance or better",
-        expected.told, expected.free
+        expected.told,
+        expected.free
     );
 }
 
@@ -285,7 +281,6 @@ mod tests {
         for survey in [usual, worst, survey_of(vec![])] {
             assert!(widest(&topics(&survey)) <= COLUMNS, "{}", topics(&survey));
         }
-        assert_eq!(harmless("/\u{1b}[2J\u{e9}\n"), "/\\u{1b}[2J\u{e9}\\n");
         assert_eq!(broken(long, 30).lines().next().unwrap(), "/device_0/sensor_1/Color_0/");
         assert_eq!(broken(long, 30).replace('\n', ""), long);
     }

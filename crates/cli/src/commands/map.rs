@@ -3,9 +3,10 @@
 use crate::args::{Cli, MapArgs, MapFileArg};
 use crate::commands::run::{coverage_line, filter_self, stages};
 use crate::progress::{Screen, peak_memory_mib};
+use crate::screen::{self, say};
 use anyhow::{Result, bail};
 use skclam::dataset::Dataset;
-use skclam::output::StagedFolder;
+use skclam::output::Contents;
 use skclam::pipeline::{self, Config, MapFile};
 use skclam::rig::Rig;
 use skclam::trajectory::trajectory_text;
@@ -18,7 +19,7 @@ pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
     };
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
     let config = Config { voxel_m: args.voxel_mm.map(|voxel_mm| voxel_mm * 1e-3), ..Config::default() };
-    let staged = StagedFolder::for_result(&args.out)?;
+    let staged = screen::staged(cli.quiet, &args.out, Contents::Map)?;
     let screen = Screen::new(cli.quiet);
     let trajectory = pipeline::localize(&dataset, &dataset.rig)?;
     let poses: Vec<_> = trajectory.iter().map(|stamped| stamped.base_from_camera).collect();
@@ -41,23 +42,23 @@ pub fn map(cli: &Cli, args: &MapArgs) -> Result<()> {
             "points": points, "images": dataset.len(), "wall_s": wall, "peak_memory_mib": peak_memory_mib(), "coverage": coverage,
             "files": more
         });
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        screen::json(&summary)?;
         return Ok(());
     }
-    println!("Map: {points} points from {} postures in {wall:.1} s; voxels of {:.1} mm", dataset.len(), more.voxel_mm);
+    say!("Map: {points} points from {} postures in {wall:.1} s; voxels of {:.1} mm", dataset.len(), more.voxel_mm);
     if let Some(coverage) = &coverage {
-        println!("{}", coverage_line(coverage));
+        say!("{}", coverage_line(coverage));
     }
     if let Some(triangles) = more.triangles {
-        println!("Surface: {triangles} triangles");
+        say!("Surface: {triangles} triangles");
     }
     if let Some(triangles) = more.collision_triangles {
-        println!("Collision mesh: {triangles} triangles");
+        say!("Collision mesh: {triangles} triangles");
     }
     if let Some([free, occupied]) = more.free_and_occupied_cells {
-        println!("Occupancy: {free} free cells, {occupied} occupied");
+        say!("Occupancy: {free} free cells, {occupied} occupied");
     }
-    println!("Results: {}", folder.display());
+    say!("Results: {}", folder.display());
     Ok(())
 }
 

@@ -13,3 +13,16 @@ pub mod run;
 pub mod simulate;
 pub mod validate;
 mod validate_points;
+
+use anyhow::Result;
+use skclam::rig::Rig;
+use std::path::Path;
+
+/// The rig of a result folder that is of one piece, or a rig file by itself.
+pub fn rig_of(path: &Path) -> Result<Rig> {
+    if !path.is_dir() {
+        return Ok(Rig::read(path)?);
+    }
+    skclam_files::verify(path)?;
+    Ok(Rig::read(path.join("rig.toml"))?)
+}

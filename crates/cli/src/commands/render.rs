@@ -1,13 +1,15 @@
 //! `skclam render`.
 
 use crate::args::{Cli, RenderArgs, ViewArg};
+use crate::screen::{self, say};
 use anyhow::{Context, Result, bail};
+use image::ImageFormat;
 use skclam::geometry::Point3;
 use skclam::mapping::{
     Model, Projection, RenderCamera, RenderOptions, ViewPreset, read_ply, render as draw, side_by_side,
 };
-use std::fs::File;
-use std::io::BufReader;
+use skclam::output::StagedFile;
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 /// Pixels between two pictures.
@@ -20,6 +22,7 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     if !["png", "jpg", "jpeg"].contains(&ending.as_str()) {
         bail!("--out {}: pictures are written as PNG or JPEG; end the name in .png or .jpg", args.out.display());
     }
+    let staged = StagedFile::new(&args.out)?;
     let model = read(&args.map)?;
     let camera = camera(args, &model)?;
     let mut picture = draw(&model, &camera, &options)?;
@@ -27,28 +30,23 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
         let second = draw(&read(beside)?, &camera, &options)?;
         picture = side_by_side(&picture, &second, GAP, options.background);
     }
-    // Written beside its place first, so that no half a picture stands there.
-    let partial = args.out.with_extension(format!("partial.{ending}"));
-    let written = picture.save(&partial).map_err(anyhow::Error::from);
-    if let Err(error) = written.and_then(|()| Ok(std::fs::rename(&partial, &args.out)?)) {
-        // Half a picture is of no use; that it cannot be removed either changes nothing.
-        let _ = std::fs::remove_file(&partial);
-        return Err(error.context(args.out.display().to_string()));
-    }
+    let format = if ending == "png" { ImageFormat::Png } else { ImageFormat::Jpeg };
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, format).with_context(|| args.out.display().to_string())?;
+    staged.write(bytes.into_inner())?;
+    staged.publish()?;
     if cli.json {
-        println!(
-            "{}",
-            serde_json::json!({ "picture": args.out, "width": picture.width(), "height": picture.height() })
-        );
+        let told = serde_json::json!({ "picture": args.out, "width": picture.width(), "height": picture.height() });
+        screen::json(&told)?;
     } else {
-        println!("{} x {}: {}", picture.width(), picture.height(), args.out.display());
+        say!("{} x {}: {}", picture.width(), picture.height(), args.out.display());
     }
     Ok(())
 }
 
 /// Reads a cloud or a mesh.
 pub fn read(path: &Path) -> Result<Model> {
-    let file = File::open(path).with_context(|| path.display().to_string())?;
+    let file = skclam_files::open(path, skclam_files::Kind::Map).with_context(|| path.display().to_string())?;
     read_ply(BufReader::new(file)).with_context(|| path.display().to_string())
 }
 

@@ -1,13 +1,13 @@
 //! `skclam report` and `skclam compare`.
 
 use crate::args::Cli;
-use crate::screen;
-use anyhow::{Context, Result};
+use crate::screen::{self, say};
+use anyhow::Result;
 use clap::{Args, ValueHint};
-use skclam::output::StagedFolder;
+use skclam::output::{StagedFile, StagedFolder};
 use skclam::rig::Rig;
 use skclam_report::{Comparison, RunResult, compare_html, report_html};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Arguments of `report`.
 #[derive(Debug, Args)]
@@ -32,19 +32,22 @@ pub struct CompareArgs {
 }
 
 /// The page of a folder under construction: made of the files in it, so that `skclam report` gives the same bytes.
-pub fn write_report(staged: &StagedFolder) -> Result<()> {
+pub fn write_report(staged: &mut StagedFolder) -> Result<()> {
     let folder = staged.path("")?;
-    staged.write("report.html", report_html(&RunResult::read(folder)?))?;
+    staged.write_derived("report.html", report_html(&RunResult::read(folder)?))?;
     Ok(())
 }
 
 /// Builds the page again.
 pub fn report(cli: &Cli, args: &ReportArgs) -> Result<()> {
-    let page = report_html(&RunResult::read(&args.result)?);
+    let run = RunResult::read(&args.result)?;
     let path = args.out.clone().unwrap_or_else(|| args.result.join("report.html"));
-    write_whole(&path, &page)?;
+    let staged = StagedFile::new(&path)?;
+    let page = report_html(&run);
+    staged.write(&page)?;
+    staged.publish()?;
     if !cli.quiet {
-        println!("{} ({:.1} MB)", path.display(), page.len() as f64 / 1e6);
+        say!("{} ({:.1} MB)", path.display(), page.len() as f64 / 1e6);
     }
     Ok(())
 }
@@ -58,45 +61,34 @@ pub fn compare(cli: &Cli, args: &CompareArgs) -> Result<()> {
         path.exists().then(|| Rig::read(path)).transpose()
     };
     let rigs = args.results.iter().map(rig).collect::<Result<Vec<_>, _>>()?;
+    let staged = args.out.as_ref().map(StagedFile::new).transpose()?;
     let comparison = Comparison::of(&runs, &rigs);
     if cli.json {
-        println!("{}", serde_json::to_string_pretty(&comparison)?);
+        screen::json(&comparison)?;
     } else {
         show(&comparison);
     }
-    if let Some(path) = &args.out {
-        write_whole(path, &compare_html(&runs, &comparison))?;
+    if let (Some(path), Some(staged)) = (&args.out, staged) {
+        staged.write(compare_html(&runs, &comparison))?;
+        staged.publish()?;
         if !cli.quiet && !cli.json {
-            println!("Page: {}", path.display());
+            say!("Page: {}", path.display());
         }
     }
     Ok(())
 }
 
-/// A file that appears whole or not at all.
-fn write_whole(path: &Path, text: &str) -> Result<()> {
-    let mut name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?.to_owned();
-    name.push(format!(".partial-{}", std::process::id()));
-    let partial = path.with_file_name(name);
-    let written = std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, path));
-    if written.is_err() {
-        // It may not be there; then nothing is left behind either.
-        let _ = std::fs::remove_file(&partial);
-    }
-    written.with_context(|| path.display().to_string())
-}
-
 fn show(comparison: &Comparison) {
     for (at, run) in comparison.runs.iter().enumerate() {
-        println!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.light);
+        say!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.light);
         if let Some(dataset) = &run.dataset {
-            println!("    {dataset}");
+            say!("    {dataset}");
         }
     }
     for note in comparison.runs.iter().enumerate().filter_map(|(at, run)| run.note(at)) {
-        println!("{note}");
+        say!("{note}");
     }
-    println!();
+    say!();
     let header: Vec<String> = (1..=comparison.runs.len()).map(|at| format!("[{at}]")).collect();
     for group in &comparison.groups {
         let head: Vec<&str> = std::iter::once(group.title.as_str())
@@ -114,6 +106,6 @@ fn show(comparison: &Comparison) {
             cells.push(row.unit.clone());
             table.add_row(cells);
         }
-        println!("{table}\n");
+        say!("{table}\n");
     }
 }

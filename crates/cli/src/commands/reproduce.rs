@@ -3,11 +3,12 @@
 use crate::args::{Cli, ReproduceArgs};
 use crate::commands::run::stages;
 use crate::progress::{Screen, peak_memory_mib};
+use crate::screen::{note, say};
 use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::evaluation::evaluate;
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::pipeline::{self, Config};
 use skclam::reproduction::{Reproduction, Trial};
 use skclam::rig::{Rig, builtin_rig};
@@ -47,22 +48,22 @@ pub fn reproduce(cli: &Cli, args: &ReproduceArgs) -> Result<()> {
         trials,
     };
     let json = serde_json::to_string_pretty(&reproduction)?;
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = StagedFolder::new(&args.out, Contents::Reproduction)?;
     staged.write("report.md", reproduction.markdown())?;
     staged.write("report.json", &json)?;
     staged.publish()?;
     if cli.json {
-        println!("{json}");
+        say!("{json}");
     } else {
-        println!("{}", reproduction.markdown());
-        println!("Report: {}; data sets, rigs and maps lie beside it", args.out.join("report.md").display());
+        say!("{}", reproduction.markdown());
+        say!("Report: {}; data sets, rigs and maps lie beside it", args.out.join("report.md").display());
     }
     Ok(())
 }
 
 fn say(cli: &Cli, text: &str) {
     if !cli.quiet {
-        eprintln!("{text}");
+        note!("{text}");
     }
 }
 
@@ -77,7 +78,7 @@ fn simulate(cli: &Cli, args: &ReproduceArgs, nominal: &Rig, noise: bool, out: &P
     };
     let screen = Screen::new(cli.quiet);
     let simulation = Simulation::new(nominal, &config)?;
-    let staged = StagedFolder::new(out)?;
+    let staged = StagedFolder::new(out, Contents::DataSet)?;
     write_virtual_cell(&simulation, &staged, &screen)?;
     staged.publish()?;
     Ok(stages(&screen).iter().map(|stage| stage.wall_s).sum())
@@ -88,7 +89,7 @@ fn trial(cli: &Cli, preset: &str, config: &Config, noise: bool, folder: &Path, o
     say(cli, &format!("calibrating {}, preset {preset}", folder.display()));
     let dataset = Dataset::open(folder)?;
     let truth = Rig::read(folder.join("truth/rig.toml"))?;
-    let staged = StagedFolder::new(out)?;
+    let staged = StagedFolder::new(out, Contents::Result)?;
     let screen = Screen::new(cli.quiet);
     let mut outcome = pipeline::run(&dataset, config, &screen)?;
     outcome.summary.stages = stages(&screen);

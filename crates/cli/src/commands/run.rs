@@ -3,12 +3,13 @@
 use crate::args::{Cli, PresetArg, RunArgs, SelfFilterArgs};
 use crate::commands::report::write_report;
 use crate::progress::{Screen, peak_memory_mib};
-use crate::screen;
+use crate::screen::{self, say};
 use anyhow::{Context, Result};
 use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
-use skclam::output::StagedFolder;
-use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, VerdictGrade};
+use skclam::inspection::likely_cause;
+use skclam::output::Contents;
+use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, RunError, VerdictGrade};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -45,7 +46,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     }
     let config = config(args, &dataset.rig)?;
     filter_self(&mut dataset, &args.self_filter, cli.quiet)?;
-    let staged = StagedFolder::for_result(&args.out)?;
+    let mut staged = screen::staged(cli.quiet, &args.out, Contents::Result)?;
     let screen = Screen::new(cli.quiet);
     let found = match args.find_mount {
         true => Some(pipeline::find_mount(&dataset, &config, &screen)?),
@@ -54,10 +55,11 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     if let Some(found) = &found {
         dataset.rig.flange_from_color = found.flange_from_color;
     }
-    let mut outcome = match extent {
-        Extent::Everything => pipeline::run(&dataset, &config, &screen)?,
-        Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen)?,
+    let done = match extent {
+        Extent::Everything => pipeline::run(&dataset, &config, &screen),
+        Extent::CalibrationOnly => pipeline::run_without_map(&dataset, &config, &screen),
     };
+    let mut outcome = done.map_err(|error| with_cause(&dataset, error))?;
     outcome.summary.warnings.extend(found.map(|found| {
         format!(
             "the nominal mount was found from {} matches in {} pairs of images ({:.2} px from their epipolar lines in the median); \
@@ -68,16 +70,25 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     outcome.summary.stages = stages(&screen);
     outcome.summary.peak_memory_mib = peak_memory_mib();
     outcome.write(&staged)?;
-    write_report(&staged)?;
+    write_report(&mut staged)?;
     let folder = staged.publish()?;
     screen::warn(cli.quiet, &outcome.summary.warnings);
     if cli.json {
-        println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
+        screen::json(&outcome.summary)?;
     } else {
         show(&outcome.summary);
-        println!("Results: {}; open report.html in a browser", folder.display());
+        say!("Results: {}; open report.html in a browser", folder.display());
     }
     Ok(())
+}
+
+/// An estimator that failed speaks of matrices; where the data have a slip that explains it, that is said first.
+fn with_cause(dataset: &Dataset, error: RunError) -> anyhow::Error {
+    let of_the_data = matches!(error, RunError::Calibration(_) | RunError::Features(_));
+    match of_the_data.then(|| likely_cause(dataset)).flatten() {
+        Some(cause) => anyhow::Error::new(error).context(cause),
+        None => error.into(),
+    }
 }
 
 /// The times that the screen measured, as the summary keeps them.
@@ -96,7 +107,8 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
     let mut config = match &args.config {
         None => preset,
         Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            let text = skclam_files::read_text(path, skclam_files::Kind::Configuration)
+                .with_context(|| path.display().to_string())?;
             preset.overlaid(&text).with_context(|| path.display().to_string())?
         }
     };
@@ -112,11 +124,11 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
 /// The table of a run.
 pub fn show(summary: &Summary) {
     let calibration = &summary.calibration;
-    println!("{}", summary.verdict);
+    say!("{}", summary.verdict);
     for reason in summary.reasons.iter().filter(|reason| reason.grade != VerdictGrade::Good) {
-        println!("  check: {}", reason.text);
+        say!("  check: {}", reason.text);
     }
-    println!();
+    say!();
     if !calibration.parameters.is_empty() {
         let mut table = screen::table(&["parameter", "nominal", "calibrated", "change", "sigma", "unit"]);
         for parameter in &calibration.parameters {
@@ -129,7 +141,7 @@ pub fn show(summary: &Summary) {
                 parameter.unit.clone(),
             ]);
         }
-        println!("{table}\n");
+        say!("{table}\n");
     }
     let mut table = screen::table(&["residuals, px", "nominal", "calibrated"]);
     // A board alone has no matches, and so no distances to lines.
@@ -178,10 +190,10 @@ pub fn show(summary: &Summary) {
         let fitted = board_rms(|board| board.mount_fitted_rms_px);
         table.add_row(["the same, nominal with its mount fitted".to_owned(), fitted, after]);
     }
-    println!("{table}\n");
+    say!("{table}\n");
     show_poses(summary);
     let counts = &summary.counts;
-    println!(
+    say!(
         "{} postures, {} pairs, {} keypoints, {} matches, {} tracks with {} observations",
         counts.postures,
         counts.pairs,
@@ -191,37 +203,37 @@ pub fn show(summary: &Summary) {
         counts.observations
     );
     if let Some(board) = &summary.board {
-        println!("Board: {} corners in {} postures", board.corners, board.postures);
+        say!("Board: {} corners in {} postures", board.corners, board.postures);
     }
     if let Some(found) = summary.camera_fixed.filter(|found| found.dropped_keypoints > 0) {
-        println!(
+        say!(
             "{:.0} % of the image moves with the camera and was masked ({} keypoints); see mask.png",
             found.masked_share * 100.0,
             found.dropped_keypoints
         );
     }
-    println!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
+    say!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
     if let Some(rank) = calibration.rank {
-        println!("{rank} of {} free parameters are seen by the data", calibration.free);
+        say!("{rank} of {} free parameters are seen by the data", calibration.free);
         if calibration.arm && matches!(summary.configuration.free, Free::Auto | Free::With(..)) {
-            println!("Held, as no image tells: base about and along axis 1; flange about and along the last");
+            say!("Held, as no image tells: base about and along axis 1; flange about and along the last");
         }
     }
     for reason in &calibration.not_identifiable {
-        println!("  not identifiable: {reason}");
+        say!("  not identifiable: {reason}");
     }
     if let Some(map) = &summary.map {
-        println!("Map: {} points", map.points);
+        say!("Map: {} points", map.points);
         if let Some(coverage) = map.coverage {
-            println!("{}", coverage_line(&coverage));
+            say!("{}", coverage_line(&coverage));
         }
     }
     let wall: f64 = summary.stages.iter().map(|stage| stage.wall_s).sum();
     let cpu: f64 = summary.stages.iter().map(|stage| stage.cpu_s).sum();
     let list: Vec<String> = summary.stages.iter().map(|stage| format!("{} {:.1}", stage.stage, stage.wall_s)).collect();
-    println!("Time: {wall:.1} s ({}), CPU {cpu:.1} s", list.join(", "));
+    say!("Time: {wall:.1} s ({}), CPU {cpu:.1} s", list.join(", "));
     if let Some(memory) = summary.peak_memory_mib {
-        println!("Peak memory: {memory:.0} MiB");
+        say!("Peak memory: {memory:.0} MiB");
     }
 }
 
@@ -258,6 +270,6 @@ fn show_poses(summary: &Summary) {
         }
     }
     if table.row_count() > 0 {
-        println!("{table}\n");
+        say!("{table}\n");
     }
 }

@@ -3,9 +3,10 @@
 use crate::args::{Cli, ErrorsArg, ImageNoiseArg, PosturesArg, SimulateArgs};
 use crate::commands::run::stages;
 use crate::progress::Screen;
-use anyhow::{Context, Result, bail};
+use crate::screen::{self, say};
+use anyhow::{Result, bail};
 use skclam::dataset::Dataset;
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFile};
 use skclam::rig::{Rig, builtin_names, builtin_rig};
 use skclam::robot_recording::write_robot_recording;
 use skclam::simulation::{
@@ -24,30 +25,29 @@ pub fn simulate(cli: &Cli, args: &SimulateArgs) -> Result<()> {
     }
     let nominal = scaled_rig(&rig(&args.robot)?, args.scale);
     let simulation = Simulation::new(&nominal, &config(args))?;
-    let staged = StagedFolder::new(&args.out)?;
+    let staged = screen::staged(cli.quiet, &args.out, Contents::DataSet)?;
+    // Before the work, like the folder.
+    let recording = args.recording.as_ref().map(StagedFile::new).transpose()?;
     let screen = Screen::new(cli.quiet);
     write_virtual_cell(&simulation, &staged, &screen)?;
     let folder = staged.publish()?;
-    if let Some(path) = &args.recording {
-        write_recording(&folder, path, &screen)?;
+    if let Some(staged) = recording {
+        write_recording(&folder, staged, &screen)?;
     }
     let wall: f64 = stages(&screen).iter().map(|stage| stage.wall_s).sum();
     let postures = simulation.postures().len();
     if cli.json {
-        println!("{}", serde_json::json!({ "postures": postures, "wall_s": wall, "folder": folder }));
+        screen::json(&serde_json::json!({ "postures": postures, "wall_s": wall, "folder": folder }))?;
     } else {
-        println!("{postures} postures in {wall:.1} s\nData set: {} (the truth lies in truth/)", folder.display());
+        say!("{postures} postures in {wall:.1} s\nData set: {} (the truth lies in truth/)", folder.display());
     }
     Ok(())
 }
 
 /// The data set as the robot would have recorded it; whole or not at all.
-fn write_recording(folder: &Path, path: &Path, screen: &Screen) -> Result<()> {
+fn write_recording(folder: &Path, staged: StagedFile, screen: &Screen) -> Result<()> {
     let dataset = Dataset::open(folder)?;
-    let name = path.file_name().with_context(|| format!("{}: name a file", path.display()))?;
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let staged = StagedFolder::new(parent)?;
-    let out = BufWriter::new(File::create(staged.path(name)?)?);
+    let out = BufWriter::new(File::create(staged.path())?);
     write_robot_recording(&dataset, out, screen)?;
     staged.publish()?;
     Ok(())

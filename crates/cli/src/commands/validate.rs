@@ -1,9 +1,9 @@
 //! `skclam validate`.
 
-use super::validate_points;
+use super::{rig_of, validate_points};
 use crate::args::Cli;
 use crate::progress::Screen;
-use crate::screen;
+use crate::screen::{self, say};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum, ValueHint};
 use serde::Serialize;
@@ -63,7 +63,7 @@ struct Printed<'a> {
 
 /// Measures a rig on a recording that it was not fitted to, by points of a tracker, or both.
 pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
-    let rig = read_rig(&args.rig)?;
+    let rig = rig_of(&args.rig)?;
     let dataset = args.dataset.as_deref().map(Dataset::open).transpose()?;
     // First, since it takes no time: what is wrong with the points is said before the images are looked at.
     let points = args.points.as_deref().map(|path| by_points(path, args, &rig, dataset.as_ref())).transpose()?;
@@ -73,7 +73,7 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
     }
     if cli.json {
         let printed = Printed { images: images.as_ref(), points: points.as_ref() };
-        println!("{}", serde_json::to_string_pretty(&printed)?);
+        screen::json(&printed)?;
     } else {
         images.iter().for_each(show);
         points.iter().for_each(validate_points::show);
@@ -81,11 +81,6 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
     let of_images = images.as_ref().map(|images| ("images", images.grade));
     let of_points = points.as_ref().and_then(|points| Some(("points", points.comparison?.status)));
     [of_images, of_points].into_iter().flatten().try_for_each(|(by, status)| fail_on(args.fail_on, by, status))
-}
-
-/// A rig's file, or the one in a result folder or data set.
-fn read_rig(path: &Path) -> Result<Rig> {
-    Ok(Rig::read(if path.is_dir() { path.join("rig.toml") } else { path.to_owned() })?)
 }
 
 fn by_images(cli: &Cli, args: &ValidateArgs, rig: &Rig, dataset: &Dataset) -> Result<Validation> {
@@ -99,7 +94,7 @@ fn by_images(cli: &Cli, args: &ValidateArgs, rig: &Rig, dataset: &Dataset) -> Re
 }
 
 fn by_points(path: &Path, args: &ValidateArgs, rig: &Rig, dataset: Option<&Dataset>) -> Result<PointsValidation> {
-    let nominal = args.nominal.as_deref().map(read_rig).transpose()?;
+    let nominal = args.nominal.as_deref().map(rig_of).transpose()?;
     let nominal = nominal.as_ref().or(dataset.map(|dataset| &dataset.rig));
     if args.fail_on.is_some() && nominal.is_none() {
         bail!("--fail-on needs a rig to compare with: give --nominal RIG or a DATASET");
@@ -122,7 +117,7 @@ fn fail_on(limit: Option<FailOnArg>, by: &str, status: VerdictGrade) -> Result<(
 }
 
 fn show(validation: &Validation) {
-    println!("{}\n", validation.verdict);
+    say!("{}\n", validation.verdict);
     let mut table = screen::table(&["residuals", "data set's rig", "rig under test", "unit"]);
     let mut row = |name: &str, before: f64, after: f64, unit: &str| {
         table.add_row([name.to_owned(), format!("{before:.3}"), format!("{after:.3}"), unit.to_owned()]);
@@ -141,8 +136,8 @@ fn show(validation: &Validation) {
         row("depth images apart, median", agreement.nominal.median_mm, agreement.calibrated.median_mm, "mm");
         row("depth images apart, 90 %", agreement.nominal.p90_mm, agreement.calibrated.p90_mm, "mm");
     }
-    println!("{table}\n");
-    println!(
+    say!("{table}\n");
+    say!(
         "{} postures, {} matches, {} sights; refitted: {}",
         validation.postures,
         validation.matches,

@@ -1,6 +1,6 @@
 //! What people read of a validation by a tracker's points: the sentence, the table, the warnings.
 
-use crate::screen;
+use crate::screen::{self, say};
 use skclam::marker_points::{ClusteredBy, OutlierPoint, PointsFit, PointsValidation};
 use skclam::pipeline::VerdictGrade;
 
@@ -16,7 +16,7 @@ type Metric = fn(&PointsFit) -> f64;
 
 /// Sentence, metrics and clusters.
 pub fn show(validation: &PointsValidation) {
-    println!("{}\n", sentence(validation));
+    say!("{}\n", sentence(validation));
     let nominal = validation.nominal.as_ref();
     let mut table = screen::table(&["points", "nominal rig", "rig under test", "unit"]);
     let cell =
@@ -37,8 +37,8 @@ pub fn show(validation: &PointsValidation) {
         let name = format!("RMS, group {} ({} points)", group.group, group.points);
         table.add_row([name, before, screen::fixed(group.rms_mm, 3), "mm".to_owned()]);
     }
-    println!("{table}\n");
-    println!("{}", counts(validation));
+    say!("{table}\n");
+    say!("{}", counts(validation));
 }
 
 /// The judgement in one sentence.

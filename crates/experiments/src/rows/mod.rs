@@ -13,9 +13,9 @@ use crate::true_poses::TruePoses;
 use anyhow::{Context, Result};
 use skclam::dataset::{Dataset, PostureRecord, write_depth_png, write_postures};
 use skclam::geometry::DepthImage;
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::rig::{Posture, PostureState, Rig};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Postures of a row that does not say otherwise.
 pub const POSTURES: usize = 48;
@@ -62,39 +62,45 @@ impl Variant {
         Ok(Variant { rig: cell.dataset.rig.clone(), records, truth, depth: None })
     }
 
-    /// Writes the data set and opens it. Images are named where the cell keeps them; depth images that change are written anew.
+    /// Writes the data set and opens it. Images are the cell's own; depth images that change are written anew.
     ///
     /// # Errors
     /// Files that cannot be read or written, and what the program refuses of the data set.
     pub fn write(&self, cell: &Cell, folder: &Path) -> Result<Dataset> {
-        let staged = StagedFolder::new(folder)?;
-        let images = std::fs::canonicalize(&cell.dataset.folder)?;
-        let mut records = self.records.clone();
-        for record in &mut records {
-            record.color = images.join(&record.color);
-            if let Some(depth) = record.depth.take() {
-                record.depth = Some(match self.depth {
-                    None => images.join(depth),
-                    Some(change) => change_depth(cell, &depth, change, &staged)?,
-                });
+        let staged = StagedFolder::new(folder, Contents::DataSet)?;
+        for record in &self.records {
+            same_image(cell, &record.color, &staged)?;
+            match (&record.depth, self.depth) {
+                (Some(depth), None) => same_image(cell, depth, &staged)?,
+                (Some(depth), Some(change)) => change_depth(cell, depth, change, &staged)?,
+                (None, _) => {}
             }
         }
         let robot = cell.dataset.rig.robot.as_ref().context("a cell has an arm")?;
         let kinds: Vec<_> = robot.joints().iter().map(|joint| joint.kind).collect();
         staged.write("rig.toml", self.rig.to_toml()?)?;
-        staged.write("postures.csv", write_postures(&records, &kinds)?)?;
+        staged.write("postures.csv", write_postures(&self.records, &kinds)?)?;
         Ok(Dataset::open(staged.publish()?)?)
     }
 }
 
-fn change_depth(cell: &Cell, file: &Path, change: fn(f64) -> f64, staged: &StagedFolder) -> Result<PathBuf> {
+/// An image of the cell under its name in the new folder, without a copy where the file system can: a data set names no files outside of it.
+fn same_image(cell: &Cell, file: &Path, staged: &StagedFolder) -> Result<()> {
+    let (from, to) = (cell.dataset.folder.join(file), staged.path(file)?);
+    if !to.exists() && std::fs::hard_link(&from, &to).is_err() {
+        std::fs::copy(&from, &to)?;
+    }
+    Ok(())
+}
+
+fn change_depth(cell: &Cell, file: &Path, change: fn(f64) -> f64, staged: &StagedFolder) -> Result<()> {
     let at = cell.dataset.records.iter().position(|record| record.depth.as_deref() == Some(file));
     let image = cell.dataset.depth(at.context("a depth image of the cell")?)?.context("a depth image")?;
     let changed = image.as_slice().iter().map(|&z| if z > 0.0 { change(f64::from(z)) as f32 } else { 0.0 });
     let changed = DepthImage::new(image.width(), image.height(), changed.collect())?;
     let camera = cell.dataset.rig.depth.as_ref().context("a depth camera")?;
     write_depth_png(&staged.path(file)?, &changed, camera.unit_m)?;
-    Ok(file.to_owned())
+    Ok(())
 }
 
 /// Joint values of a posture; empty for a flange pose.
@@ -127,6 +133,7 @@ mod tests {
     use super::*;
     use skclam::rig::builtin_rig;
     use skclam::simulation::{PerturbationSigmas, perturb_random};
+    use std::path::PathBuf;
 
     /// A cell without images: a walk of 60 postures.
     fn cell() -> Cell {

@@ -58,9 +58,14 @@ pub fn bare_urdf(chain: &SerialChain, robot: &str, base_link: &str, tip_link: &s
         );
     }
     let last = link(chain.joint_count());
+    // Joints have names of their own.
+    let mut flange = "flange".to_owned();
+    while chain.joints().iter().any(|joint| joint.name == flange) {
+        flange.push('_');
+    }
     let _ = write!(
         text,
-        "  <link name=\"{last}\"/>\n  <joint name=\"flange\" type=\"fixed\">\n{}    <parent link=\"{last}\"/>\n    <child link=\"{tip}\"/>\n  </joint>\n  \
+        "  <link name=\"{last}\"/>\n  <joint name=\"{flange}\" type=\"fixed\">\n{}    <parent link=\"{last}\"/>\n    <child link=\"{tip}\"/>\n  </joint>\n  \
          <link name=\"{tip}\"/>\n</robot>\n",
         element(&pending),
         tip = escaped(tip_link)
@@ -75,6 +80,8 @@ fn element(origin: &Isometry3) -> String {
 }
 
 fn escaped(text: &str) -> String {
+    // Control characters have no place in XML, not even as references.
+    let text = skclam_files::shown(text);
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
@@ -82,6 +89,17 @@ fn escaped(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::{Joint, Link, LinkForm, chain_from_urdf};
+
+    #[test]
+    fn whatever_names_hold_the_text_is_xml() {
+        let link = Link { form: LinkForm::ModifiedDh, alpha: 0.3, a: 0.2, beta: 0.0, theta_offset: 0.0, d: 0.1 };
+        let evil = "\u{1b}[31m\u{0}\u{fffe}]]>--\u{202e}\n\"'<&";
+        let chain = SerialChain::new(vec![Joint::revolute(evil, link), Joint::revolute("flange", link)]).unwrap();
+        let text = bare_urdf(&chain, evil, "base_link", "tool0");
+        let back = chain_from_urdf(&text, "base_link", "tool0").unwrap();
+        assert!(back.joints()[0].name.contains("\\u{1b}[31m"), "{text}");
+        assert!(!text.chars().any(|c| skclam_files::is_harmful(c) && c != '\n'), "{text}");
+    }
 
     #[test]
     fn the_text_is_the_chain_in_every_form() {

@@ -45,6 +45,8 @@ pub(super) struct Document<'a> {
     links: Vec<&'a str>,
     joints: HashMap<&'a str, RawJoint<'a>>,
     parents: HashSet<&'a str>,
+    /// Of the joints.
+    names: HashSet<&'a str>,
 }
 
 struct RawJoint<'a> {
@@ -91,7 +93,13 @@ impl<'a> Document<'a> {
         if let Some(node) = robot.descendants().find(is_xacro) {
             return Err(refuse(line(&node), EXPAND));
         }
-        let mut document = Document { text, links: Vec::new(), joints: HashMap::new(), parents: HashSet::new() };
+        let mut document = Document {
+            text,
+            links: Vec::new(),
+            joints: HashMap::new(),
+            parents: HashSet::new(),
+            names: HashSet::new(),
+        };
         for node in robot.children().filter(Node::is_element) {
             match node.tag_name().name() {
                 "link" => document
@@ -115,6 +123,9 @@ impl<'a> Document<'a> {
         let need = |tag: &str, key: &str| {
             attribute(tag, key).ok_or_else(|| refuse(format!("joint '{name}' has no <{tag} {key}=\"...\"/>")))
         };
+        if !self.names.insert(name) {
+            return Err(refuse(format!("'{name}' is the name of two joints")));
+        }
         let kind = text_of(text, node, "type").ok_or_else(|| refuse(format!("joint '{name}' has no type")))?;
         let (parent, child) = (need("parent", "link")?, need("child", "link")?);
         let origin = child_node("origin").map(|origin| {

@@ -94,6 +94,9 @@ fn lengths_that_lie_cost_nothing() {
     let mut huge = honest.clone();
     let chunk = 8 + 9 + 8 + 9;
     huge[chunk + 16..chunk + 24].copy_from_slice(&(1u64 << 50).to_le_bytes());
+    assert!(message("huge.mcap", &huge).contains("far more than recordings hold"), "{}", message("huge.mcap", &huge));
+    // One byte more is unpacked to see that it is not there.
+    huge[chunk + 16..chunk + 24].copy_from_slice(&(1u64 << 20).to_le_bytes());
     assert!(message("huge.mcap", &huge).contains("in the middle of a record"), "{}", message("huge.mcap", &huge));
     let mut long = honest.clone();
     long[8 + 1..8 + 9].copy_from_slice(&u64::MAX.to_le_bytes());

@@ -10,12 +10,20 @@ use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
 use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, SerialChain, chain_from_urdf, urdf_ends};
 use std::path::Path;
 
-/// The largest robot description that is read; meshes lie in files of their own.
-const MAX_URDF_BYTES: u64 = 16 << 20;
 /// The smallest length above 0 that is believed, millimetres.
 const LEAST_MM: f64 = 1e-6;
+/// The largest length that is believed, millimetres: a kilometre.
+const MAX_MM: f64 = 1e6;
+/// The largest angle that is believed, degrees.
+const MAX_DEG: f64 = 1e5;
 /// The largest image side that is believed, pixels.
 const MAX_SIDE: u32 = 32_768;
+/// The most pixels of an image; what is made of one takes some tens of bytes for each.
+const MAX_PIXELS: u64 = 1 << 27;
+/// Focal lengths that are believed, in widths of the image: fields of view from 179 deg to 0.06 deg.
+const FOCAL_WIDTHS: [f64; 2] = [0.005, 1000.0];
+/// Lengths of a count of a depth image that are believed, millimetres.
+const UNIT_MM: [f64; 2] = [1e-3, 100.0];
 
 /// The reader of one file.
 pub(super) struct Reader<'a> {
@@ -29,6 +37,33 @@ impl Reader<'_> {
 
     fn finite(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
         if value.is_finite() { Ok(value) } else { Err(self.value(key, format!("{value} is no finite number"))) }
+    }
+
+    /// A length of an arm or a camera.
+    fn mm(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
+        match self.finite(key, value)? {
+            value if value.abs() <= MAX_MM => Ok(value),
+            value => Err(self.value(key, format!("{value:e} mm given; no arm is that long"))),
+        }
+    }
+
+    fn deg(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
+        match self.finite(key, value)? {
+            value if value.abs() <= MAX_DEG => Ok(value),
+            value => Err(self.value(key, format!("{value:e} deg given; at most {MAX_DEG} are possible"))),
+        }
+    }
+
+    fn focal(&self, key: &str, value: f64, side: u32) -> Result<f64, RigFileError> {
+        let focal = self.positive(key, value)?;
+        let widths = focal / f64::from(side);
+        if (FOCAL_WIDTHS[0]..=FOCAL_WIDTHS[1]).contains(&widths) {
+            return Ok(focal);
+        }
+        let view_deg = 2.0 * (0.5 / widths).atan().to_degrees();
+        let problem =
+            format!("{focal:e} px given for {side} px: a field of view of {view_deg:.2e} deg, which no camera has");
+        Err(self.value(key, problem))
     }
 
     fn positive(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
@@ -107,6 +142,12 @@ impl Reader<'_> {
             .enumerate()
             .map(|(index, joint)| self.joint(index, convention, joint))
             .collect::<Result<Vec<_>, _>>()?;
+        let mut names = std::collections::BTreeSet::new();
+        if let Some(twice) = joints.iter().find(|joint| !names.insert(&joint.name)) {
+            return Err(
+                self.value("robot.joint", format!("{:?} is the name of two joints; give each its own", twice.name))
+            );
+        }
         let end = |key: &str, end: Option<TransformTable>| match end {
             None => Ok(Isometry3::identity()),
             Some(table) => self.transform(key, &table),
@@ -131,21 +172,10 @@ impl Reader<'_> {
             ));
         }
         let name = table.urdf.unwrap_or_default();
-        let path = self.path.parent().unwrap_or(Path::new("")).join(&name);
-        let io = |source| RigFileError::Io { path: path.clone(), source };
-        let metadata = std::fs::metadata(&path).map_err(io)?;
-        let length = metadata.len();
-        // A rig may come from anybody, and name a device that never ends.
-        if !metadata.is_file() {
-            return Err(self.value("robot.urdf", format!("{name} is no file")));
-        }
-        if length > MAX_URDF_BYTES {
-            return Err(self.value(
-                "robot.urdf",
-                format!("{name} has {length} bytes; a robot description has at most {MAX_URDF_BYTES}"),
-            ));
-        }
-        let text = std::fs::read_to_string(&path).map_err(io)?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let text = skclam_files::inside(folder, &name)
+            .and_then(|path| skclam_files::read_text(path, skclam_files::Kind::RobotDescription))
+            .map_err(|error| self.value("robot.urdf", format!("{name}: {error}")))?;
         let refused = |error: KinematicsError| self.value("robot.urdf", format!("{name}: {error}"));
         let (bases, tips) = urdf_ends(&text).map_err(refused)?;
         let choose = |key: &str, given: Option<String>, found: Vec<String>| match (given, found.as_slice()) {
@@ -162,18 +192,18 @@ impl Reader<'_> {
 
     fn joint(&self, index: usize, convention: Convention, table: JointTable) -> Result<Joint, RigFileError> {
         let key = |name: &str| format!("robot.joint {} (\"{}\"): {name}", index + 1, table.name);
-        let alpha = self.finite(&key("alpha_deg"), table.alpha_deg)?.to_radians();
-        let a = self.finite(&key("a_mm"), table.a_mm)? * 1e-3;
-        let theta_offset = self.finite(&key("theta_offset_deg"), table.theta_offset_deg)?.to_radians();
+        let alpha = self.deg(&key("alpha_deg"), table.alpha_deg)?.to_radians();
+        let a = self.mm(&key("a_mm"), table.a_mm)? * 1e-3;
+        let theta_offset = self.deg(&key("theta_offset_deg"), table.theta_offset_deg)?.to_radians();
         let modified = table.convention.unwrap_or(convention) == Convention::ModifiedDh;
         let (form, beta, d) = match (table.d_mm, table.beta_deg) {
             (Some(d_mm), None) => {
                 let form = if modified { LinkForm::ModifiedDh } else { LinkForm::StandardDh };
-                (form, 0.0, self.finite(&key("d_mm"), d_mm)? * 1e-3)
+                (form, 0.0, self.mm(&key("d_mm"), d_mm)? * 1e-3)
             }
             (None, Some(beta_deg)) => {
                 let form = if modified { LinkForm::Hayati } else { LinkForm::StandardHayati };
-                (form, self.finite(&key("beta_deg"), beta_deg)?.to_radians(), 0.0)
+                (form, self.deg(&key("beta_deg"), beta_deg)?.to_radians(), 0.0)
             }
             (None, None) => {
                 return Err(self.value(key("d_mm"), "is missing; give d_mm (DH), or beta_deg in its place (Hayati)"));
@@ -194,7 +224,7 @@ impl Reader<'_> {
 
     fn transform(&self, key: &str, table: &TransformTable) -> Result<Isometry3, RigFileError> {
         for value in table.translation_mm {
-            self.finite(&format!("{key}.translation_mm"), value)?;
+            self.mm(&format!("{key}.translation_mm"), value)?;
         }
         let [x, y, z, w] = table.quaternion_xyzw;
         let quaternion = Quaternion::new(w, x, y, z);
@@ -207,6 +237,15 @@ impl Reader<'_> {
         Ok(Isometry3::from_parts(Translation3::new(tx, ty, tz), UnitQuaternion::from_quaternion(quaternion)))
     }
 
+    /// A coordinate of the principal point; that of a crop may lie outside of the image, but not far from it.
+    fn principal(&self, key: &str, value: f64, side: u32) -> Result<f64, RigFileError> {
+        let side = f64::from(side);
+        match self.finite(key, value)? {
+            value if (-2.0 * side..=3.0 * side).contains(&value) => Ok(value),
+            value => Err(self.value(key, format!("{value:e} px given, far outside of an image of {side} px"))),
+        }
+    }
+
     fn camera(&self, key: &str, table: CameraTable) -> Result<(PinholeCamera, Option<String>), RigFileError> {
         for (name, side) in [("width", table.width), ("height", table.height)] {
             if side == 0 || side > MAX_SIDE {
@@ -215,6 +254,10 @@ impl Reader<'_> {
                 );
             }
         }
+        if u64::from(table.width) * u64::from(table.height) > MAX_PIXELS {
+            let problem = format!("{} x {} pixels given; at most {MAX_PIXELS} are read", table.width, table.height);
+            return Err(self.value(format!("{key}.width"), problem));
+        }
         let distortion = table.distortion.unwrap_or_default();
         for value in distortion {
             self.finite(&format!("{key}.distortion"), value)?;
@@ -222,12 +265,16 @@ impl Reader<'_> {
         let camera = PinholeCamera {
             width: table.width,
             height: table.height,
-            fx: self.positive(&format!("{key}.fx"), table.fx)?,
-            fy: self.positive(&format!("{key}.fy"), table.fy)?,
-            cx: self.finite(&format!("{key}.cx"), table.cx)?,
-            cy: self.finite(&format!("{key}.cy"), table.cy)?,
+            fx: self.focal(&format!("{key}.fx"), table.fx, table.width)?,
+            fy: self.focal(&format!("{key}.fy"), table.fy, table.height)?,
+            cx: self.principal(&format!("{key}.cx"), table.cx, table.width)?,
+            cy: self.principal(&format!("{key}.cy"), table.cy, table.height)?,
             distortion,
         };
+        if let Some(mask) = table.mask.as_deref().filter(|mask| !skclam_files::is_inside(Path::new(mask))) {
+            let problem = format!("{mask:?} leaves the folder; name a file within it");
+            return Err(self.value(format!("{key}.mask"), problem));
+        }
         Ok((camera, table.mask))
     }
 
@@ -235,8 +282,16 @@ impl Reader<'_> {
         let DepthTable { width, height, fx, fy, cx, cy, distortion, unit_mm, offset_mm, mask, color_from_depth } =
             table;
         let (camera, mask) = self.camera("depth", CameraTable { width, height, fx, fy, cx, cy, distortion, mask })?;
-        let unit_m = self.positive_mm("depth.unit_mm", unit_mm)? * 1e-3;
-        let offset_m = self.finite("depth.offset_mm", offset_mm)? * 1e-3;
+        let unit_mm = self.positive_mm("depth.unit_mm", unit_mm)?;
+        if !(UNIT_MM[0]..=UNIT_MM[1]).contains(&unit_mm) {
+            let reach_m = unit_mm * f64::from(u16::MAX) * 1e-3;
+            let problem = format!(
+                "{unit_mm} mm a count given, so that 16 bits reach {reach_m:.1e} m; cameras have 0.1 to 5 (1 for most)"
+            );
+            return Err(self.value("depth.unit_mm", problem));
+        }
+        let unit_m = unit_mm * 1e-3;
+        let offset_m = self.mm("depth.offset_mm", offset_mm)? * 1e-3;
         let color_from_depth = match color_from_depth {
             None => Isometry3::identity(),
             Some(table) => self.transform("depth.color_from_depth", &table)?,

@@ -89,6 +89,16 @@ fn errors_name_the_file_the_key_and_the_cure() {
     assert!(message.contains("robot.joint 2 (\"U\"): d_mm"), "{message}");
     let message = with("beta_deg = 0.3", "beta_deg = 0.3\nd_mm = 1");
     assert!(message.contains("one or the other"), "{message}");
+    let message = with("beta_deg = 0.3", "d_mm = 1e30");
+    assert!(message.contains("no arm is that long"), "{message}");
+    let message = with("name = \"U\"", "name = \"S\"");
+    assert!(message.contains("\"S\" is the name of two joints"), "{message}");
+    let message = with("unit_mm = 1.0", "unit_mm = 1000.0");
+    assert!(message.contains("depth.unit_mm") && message.contains("0.1 to 5"), "{message}");
+    let message = with("fx = 1371.02", "fx = 1e-300");
+    assert!(message.contains("color.fx") && message.contains("field of view"), "{message}");
+    let message = with("width = 1920", "mask = \"../mask.png\"\nwidth = 1920");
+    assert!(message.contains("color.mask") && message.contains("leaves the folder"), "{message}");
     let message = with("width = 1920", "width = 0");
     assert!(message.contains("color.width"), "{message}");
     let message = with("limits_deg = [-170.0, 170.0]", "limits_deg = [170.0, -170.0]");
@@ -106,9 +116,9 @@ fn what_is_no_regular_file_is_no_urdf() {
     for name in ["/dev/zero", "."] {
         let text = format!("[robot]\nurdf = \"{name}\"\n{}", &EXAMPLE[at..]);
         let message = Rig::from_toml(&text, "./rig.toml").unwrap_err().to_string();
-        assert!(message.contains("is no file") || message.contains("No such file"), "{message}");
+        assert!(message.contains("robot.urdf") && message.contains("leaves the folder"), "{message}");
     }
     if Path::new("/dev/zero").exists() {
-        assert!(Rig::read("/dev/zero").unwrap_err().to_string().contains("Is this the right file"));
+        assert!(Rig::read("/dev/zero").unwrap_err().to_string().contains("is a device"));
     }
 }

@@ -6,7 +6,9 @@
 
 use super::{Compensated, CompensationOptions, Compensator, TargetProblem, TrueArm};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use skclam_files::csv_cell;
 use skclam_kinematics::{Isometry3, JointKind, KinematicsError, SerialChain};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Why a table of targets could not be compensated.
@@ -74,12 +76,15 @@ const MAX_TARGETS: usize = 1 << 20;
 /// [`CompensationError::Table`] with the line: a column missing or double, a number that is none, a quaternion that is
 /// no unit one, no target.
 pub fn read_targets(path: &Path, arm: &SerialChain) -> Result<TargetTable, CompensationError> {
-    let file = std::fs::File::open(path).map_err(|source| CompensationError::Io { path: path.to_owned(), source })?;
+    let file = skclam_files::open(path, skclam_files::Kind::Targets)
+        .map_err(|source| CompensationError::Io { path: path.to_owned(), source })?
+        .take(skclam_files::Kind::Targets.max_bytes());
     let wrong = |line: u64, problem: String| CompensationError::Table { path: path.to_owned(), line, problem };
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(std::io::BufReader::new(file));
     let header = reader.headers().map_err(|error| wrong(1, error.to_string()))?.clone();
-    if let Some(twice) = header.iter().find(|name| header.iter().filter(|other| other == name).count() > 1) {
+    let mut names = std::collections::BTreeSet::new();
+    if let Some(twice) = header.iter().find(|name| !names.insert(*name)) {
         return Err(wrong(1, format!("the column \"{twice}\" stands twice")));
     }
     let columns = Columns::of(&header, arm).map_err(|problem| wrong(1, problem))?;
@@ -229,12 +234,13 @@ pub fn write_compensated(
             (JointKind::Revolute, false) => ("deg", 1f64.to_degrees()),
         })
         .collect();
-    let mut header = table.others.clone();
+    let cells = |others: &[String]| others.iter().map(|cell| csv_cell(cell).into_owned()).collect::<Vec<_>>();
+    let mut header = cells(&table.others);
     header.extend(units.iter().enumerate().map(|(index, (unit, _))| format!("q{}_{unit}", index + 1)));
     header.extend(POSE_COLUMNS.map(str::to_owned));
     header.push(STATUS.to_owned());
     let rows = table.targets.iter().zip(answers).map(|(target, answer)| {
-        let mut row = target.others.clone();
+        let mut row = cells(&target.others);
         match answer {
             Ok(answer) => {
                 row.extend(answer.joints.iter().zip(&units).map(|(value, (_, scale))| shown(value * scale)));
@@ -245,7 +251,7 @@ pub fn write_compensated(
             }
             Err(problem) => {
                 row.resize(row.len() + units.len() + POSE_COLUMNS.len(), String::new());
-                row.push(problem.to_string());
+                row.push(csv_cell(&problem.to_string()).into_owned());
             }
         }
         row

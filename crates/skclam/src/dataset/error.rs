@@ -22,6 +22,9 @@ pub enum DatasetError {
         /// The file.
         file: &'static str,
     },
+    /// A command that was to replace the folder was interrupted, and that cannot be finished.
+    #[error(transparent)]
+    Folder(#[from] skclam_files::OutputError),
     /// The rig's file.
     #[error(transparent)]
     Rig(#[from] RigFileError),

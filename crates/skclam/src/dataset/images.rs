@@ -1,29 +1,46 @@
 //! Decoding of colour and depth images, checked against the rig's cameras before any pixel is decoded.
 
-use super::DatasetError;
-use super::jpeg::ends;
+use super::{DatasetError, jpeg, png};
 use image::{DynamicImage, GrayImage, ImageFormat, ImageReader, RgbImage};
+use skclam_files::{Kind, inside, open, read};
 use skclam_geometry::{DepthCamera, DepthImage, PinholeCamera};
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufReader, BufWriter, Cursor, Read, Seek, Write};
 use std::path::Path;
-
-type Reader = ImageReader<BufReader<File>>;
 
 fn problem(path: &Path, error: impl std::fmt::Display) -> DatasetError {
     DatasetError::Image { path: path.to_owned(), problem: error.to_string() }
 }
 
-fn open(path: &Path) -> Result<Reader, DatasetError> {
-    let io = |source| DatasetError::Io { path: path.to_owned(), source };
-    // The content decides the format, not the file's ending.
-    ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)
+/// Compares the size in the image's header with the camera's.
+pub(super) fn check_header(
+    folder: &Path,
+    name: &Path,
+    camera: &PinholeCamera,
+    table: &'static str,
+) -> Result<(), DatasetError> {
+    let path = folder.join(name);
+    let io = |source| DatasetError::Io { path: path.clone(), source };
+    let file = inside(folder, name).and_then(|path| open(path, Kind::Image)).map_err(io)?;
+    // The size of a PNG stands at its beginning; its reader would unpack a colour profile first.
+    let mut beginning = Vec::new();
+    (&file).take(png::HEADER_BYTES as u64).read_to_end(&mut beginning).map_err(io)?;
+    let size = match png::size(&beginning) {
+        Some(size) => size,
+        None => {
+            let mut whole = BufReader::new(file);
+            whole.rewind().map_err(io)?;
+            // The content decides the format, not the file's ending.
+            let reader = ImageReader::new(whole).with_guessed_format().map_err(io)?;
+            reader.into_dimensions().map_err(|error| problem(&path, error))?
+        }
+    };
+    fits(&path, size, camera, table)
 }
 
-/// Compares the size in the image's header with the camera's.
-pub(super) fn check_header(path: &Path, camera: &PinholeCamera, table: &'static str) -> Result<(), DatasetError> {
-    let (got_width, got_height) = open(path)?.into_dimensions().map_err(|error| problem(path, error))?;
-    if (got_width, got_height) == (camera.width, camera.height) {
+fn fits(path: &Path, size: (u32, u32), camera: &PinholeCamera, table: &'static str) -> Result<(), DatasetError> {
+    let (got_width, got_height) = size;
+    if size == (camera.width, camera.height) {
         return Ok(());
     }
     Err(DatasetError::ImageSize {
@@ -36,29 +53,40 @@ pub(super) fn check_header(path: &Path, camera: &PinholeCamera, table: &'static 
     })
 }
 
-fn decode(path: &Path, camera: &PinholeCamera, table: &'static str) -> Result<DynamicImage, DatasetError> {
-    check_header(path, camera, table)?;
-    let reader = open(path)?;
+fn decode(
+    folder: &Path,
+    name: &Path,
+    camera: &PinholeCamera,
+    table: &'static str,
+) -> Result<DynamicImage, DatasetError> {
+    let path = folder.join(name);
+    let io = |source| DatasetError::Io { path: path.clone(), source };
+    let mut bytes = inside(folder, name).and_then(|path| read(path, Kind::Image)).map_err(io)?;
+    png::strip(&mut bytes);
+    let reader = || ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
+    let size = reader().map_err(io)?.into_dimensions().map_err(|error| problem(&path, error))?;
+    fits(&path, size, camera, table)?;
+    let reader = reader().map_err(io)?;
+    let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
+    let decoded = reader.decode().map_err(|error| problem(&path, error))?;
     // The decoder fills in grey where a JPEG breaks off; a PNG it refuses by itself.
-    if reader.format() == Some(ImageFormat::Jpeg) {
-        let file = File::open(path).map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
-        if !ends(BufReader::new(file)).map_err(|source| DatasetError::Io { path: path.to_owned(), source })? {
-            return Err(problem(path, "the JPEG breaks off: it has no end marker; copy or record the image again"));
-        }
+    match is_jpeg.then(|| jpeg::breaks_off(&bytes, &decoded)).flatten() {
+        Some(why) => Err(problem(&path, format!("the JPEG breaks off: {why}; copy or record the image again"))),
+        None => Ok(decoded),
     }
-    reader.decode().map_err(|error| problem(path, error))
 }
 
-pub(super) fn read_color(path: &Path, camera: &PinholeCamera) -> Result<RgbImage, DatasetError> {
-    Ok(decode(path, camera, "color")?.into_rgb8())
+pub(super) fn read_color(folder: &Path, name: &Path, camera: &PinholeCamera) -> Result<RgbImage, DatasetError> {
+    Ok(decode(folder, name, camera, "color")?.into_rgb8())
 }
 
-pub(super) fn read_gray(path: &Path, camera: &PinholeCamera) -> Result<GrayImage, DatasetError> {
-    Ok(decode(path, camera, "color")?.into_luma8())
+pub(super) fn read_gray(folder: &Path, name: &Path, camera: &PinholeCamera) -> Result<GrayImage, DatasetError> {
+    Ok(decode(folder, name, camera, "color")?.into_luma8())
 }
 
-pub(super) fn read_depth(path: &Path, camera: &DepthCamera) -> Result<DepthImage, DatasetError> {
-    let decoded = decode(path, &camera.camera, "depth")?;
+pub(super) fn read_depth(folder: &Path, name: &Path, camera: &DepthCamera) -> Result<DepthImage, DatasetError> {
+    let path = &folder.join(name);
+    let decoded = decode(folder, name, &camera.camera, "depth")?;
     let DynamicImage::ImageLuma16(counts) = decoded else {
         let found = format!("{:?}", decoded.color());
         return Err(problem(

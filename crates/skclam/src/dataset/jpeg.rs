@@ -1,8 +1,10 @@
 //! Whether a JPEG is whole: decoders show grey for what is missing and say nothing.
 //!
-//! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next marker. A search for the bytes of the
-//! end marker alone would find that of a thumbnail in the metadata.
+//! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next
+//! marker. A search for the bytes of the end marker alone would find that of a thumbnail in the metadata.
 
+use super::jpeg_blocks;
+use image::{DynamicImage, GenericImageView};
 use std::io::{self, BufRead};
 
 /// Marker codes that stand alone, without a length: TEM and the restart markers.
@@ -10,8 +12,31 @@ fn stands_alone(code: u8) -> bool {
     matches!(code, 0x01 | 0xD0..=0xD7)
 }
 
+/// Why a decoded JPEG is not whole; `None` where it is.
+pub(super) fn breaks_off(bytes: &[u8], decoded: &DynamicImage) -> Option<&'static str> {
+    if !ends(bytes).unwrap_or(false) {
+        return Some("it has no end marker");
+    }
+    // To look at every code takes as long as decoding. Where data are missing, the last corner is filled in.
+    let is_cut = ends_flat(decoded) && jpeg_blocks::are_missing(bytes);
+    is_cut.then_some("its data end before the last block, though an end marker follows")
+}
+
+/// Whether the last 8 x 8 pixels have one value, or are the ones before them again.
+fn ends_flat(image: &DynamicImage) -> bool {
+    let (width, height) = (image.width(), image.height());
+    if width < 16 || height < 16 {
+        return true;
+    }
+    // Where a block begins in the last row and column of them.
+    let (x, y) = ((width - 1) / 8 * 8, (height - 1) / 8 * 8);
+    let all = |same: &dyn Fn(u32, u32) -> bool| (y..height).all(|y| (x..width).all(|x| same(x, y)));
+    let first = image.get_pixel(x, y);
+    all(&|x, y| image.get_pixel(x, y) == first) || all(&|x, y| image.get_pixel(x, y) == image.get_pixel(x - 8, y))
+}
+
 /// Whether the stream comes to the end marker of its image. What follows that is not looked at.
-pub(super) fn ends(mut stream: impl BufRead) -> io::Result<bool> {
+fn ends(mut stream: impl BufRead) -> io::Result<bool> {
     let mut in_scan = false;
     loop {
         let Some(code) = next_marker(&mut stream, in_scan)? else { return Ok(false) };
@@ -36,7 +61,8 @@ pub(super) fn ends(mut stream: impl BufRead) -> io::Result<bool> {
     }
 }
 
-/// The code of the next marker; `None` at the end of the stream. In entropy-coded data a stuffed zero after 0xFF and restart markers are none.
+/// The code of the next marker; `None` at the end of the stream. In entropy-coded data a stuffed zero after 0xFF and
+/// restart markers are none.
 fn next_marker(stream: &mut impl BufRead, in_scan: bool) -> io::Result<Option<u8>> {
     let mut byte = [0];
     loop {

@@ -6,6 +6,8 @@
 mod error;
 mod images;
 mod jpeg;
+mod jpeg_blocks;
+mod png;
 mod postures;
 mod self_filter;
 
@@ -39,6 +41,7 @@ impl Dataset {
     pub fn open(folder: impl AsRef<Path>) -> Result<Dataset, DatasetError> {
         let folder = folder.as_ref();
         let rig_path = folder.join("rig.toml");
+        skclam_files::recover(folder)?;
         if !folder.is_dir() {
             return Err(DatasetError::NoFolder { path: folder.to_owned() });
         }
@@ -51,6 +54,7 @@ impl Dataset {
     /// Opens a folder with another rig in place of the one that lies in it.
     pub fn open_with_rig(folder: impl AsRef<Path>, rig: Rig) -> Result<Dataset, DatasetError> {
         let folder = folder.as_ref();
+        skclam_files::recover(folder)?;
         let table = folder.join("postures.csv");
         if folder.is_dir() && !table.exists() {
             return Err(DatasetError::Missing { path: folder.to_owned(), file: "postures.csv" });
@@ -78,19 +82,19 @@ impl Dataset {
 
     /// Decodes the colour image of a posture.
     pub fn color(&self, index: usize) -> Result<RgbImage, DatasetError> {
-        images::read_color(&self.folder.join(&self.records[index].color), &self.rig.color)
+        images::read_color(&self.folder, &self.records[index].color, &self.rig.color)
     }
 
     /// Decodes the colour image of a posture as grey values.
     pub fn gray(&self, index: usize) -> Result<GrayImage, DatasetError> {
-        images::read_gray(&self.folder.join(&self.records[index].color), &self.rig.color)
+        images::read_gray(&self.folder, &self.records[index].color, &self.rig.color)
     }
 
     /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture has none.
     pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
         let record = &self.records[index];
         let (Some(path), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };
-        let depth = images::read_depth(&self.folder.join(path), camera)?;
+        let depth = images::read_depth(&self.folder, path, camera)?;
         match &self.self_filter {
             None => Ok(Some(depth)),
             Some(filter) => filter.apply(&depth, camera, &self.rig, &record.posture).map(Some),
@@ -100,13 +104,13 @@ impl Dataset {
     /// The mask of the colour camera that the rig names: 0 where it sees what moves with it.
     pub fn color_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
         let Some(name) = &self.rig.color_mask else { return Ok(None) };
-        images::read_gray(&self.folder.join(name), &self.rig.color).map(Some)
+        images::read_gray(&self.folder, Path::new(name), &self.rig.color).map(Some)
     }
 
     /// The mask of the depth camera that the rig names.
     pub fn depth_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
         match (&self.rig.depth_mask, &self.rig.depth) {
-            (Some(name), Some(depth)) => images::read_gray(&self.folder.join(name), &depth.camera).map(Some),
+            (Some(name), Some(depth)) => images::read_gray(&self.folder, Path::new(name), &depth.camera).map(Some),
             _ => Ok(None),
         }
     }
@@ -120,26 +124,28 @@ impl Dataset {
         for (row, record) in self.records.iter().enumerate() {
             for image in [Some(&record.color), record.depth.as_ref()].into_iter().flatten() {
                 // Whether it can be read is told when its header is.
-                if matches!(self.folder.join(image).try_exists(), Ok(false)) {
-                    let (index, image) = (record.posture.index, image.display());
-                    let problem = format!(
-                        "posture {index}: {image} is not there; paths are relative to {}",
-                        self.folder.display()
-                    );
-                    return Err(DatasetError::Table { path: table, line: row + 2, problem });
-                }
+                let Err(error) = skclam_files::inside(&self.folder, image) else { continue };
+                let index = record.posture.index;
+                let problem = match error.kind() {
+                    std::io::ErrorKind::NotFound => {
+                        let (image, folder) = (image.display(), self.folder.display());
+                        format!("posture {index}: {image} is not there; paths are relative to {folder}")
+                    }
+                    _ => format!("posture {index}: {error}"),
+                };
+                return Err(DatasetError::Table { path: table, line: row + 2, problem });
             }
             self.rig.base_from_color(&record.posture).map_err(|source| DatasetError::Posture {
                 path: table.clone(),
                 line: row + 2,
                 source,
             })?;
-            images::check_header(&self.folder.join(&record.color), &self.rig.color, "color")?;
+            images::check_header(&self.folder, &record.color, &self.rig.color, "color")?;
             if let Some(depth) = &record.depth {
                 let Some(camera) = &self.rig.depth else {
                     return Err(DatasetError::DepthWithoutCamera { path: table, line: row + 2 });
                 };
-                images::check_header(&self.folder.join(depth), &camera.camera, "depth")?;
+                images::check_header(&self.folder, depth, &camera.camera, "depth")?;
             }
         }
         Ok(())

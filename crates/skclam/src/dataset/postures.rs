@@ -5,6 +5,7 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use skclam_geometry::Isometry3;
 use skclam_kinematics::JointKind;
 use skclam_rig::{Posture, PostureState};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// A posture and its images.
@@ -44,7 +45,9 @@ enum StateColumns {
 
 /// Reads the table. Indices must rise; every number must be finite.
 pub fn read_postures(path: &Path) -> Result<Vec<PostureRecord>, DatasetError> {
-    let file = std::fs::File::open(path).map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
+    let file = skclam_files::open(path, skclam_files::Kind::Postures)
+        .map_err(|source| DatasetError::Io { path: path.to_owned(), source })?
+        .take(skclam_files::Kind::Postures.max_bytes());
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(std::io::BufReader::new(file));
     let table = Table { path };
@@ -90,10 +93,9 @@ impl Table<'_> {
 
     fn columns(&self, header: &csv::StringRecord) -> Result<Columns, DatasetError> {
         let names: Vec<&str> = header.iter().collect();
-        for (column, name) in names.iter().enumerate() {
-            if names[..column].contains(name) {
-                return Err(self.error(1, format!("column \"{name}\" stands twice")));
-            }
+        let mut known = std::collections::BTreeSet::new();
+        if let Some(twice) = names.iter().find(|name| !known.insert(**name)) {
+            return Err(self.error(1, format!("column \"{twice}\" stands twice")));
         }
         let find = |name: &str| names.iter().position(|candidate| *candidate == name);
         let need = |name: &str| find(name).ok_or_else(|| self.error(1, format!("column \"{name}\" is missing")));

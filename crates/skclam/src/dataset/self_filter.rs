@@ -1,12 +1,12 @@
 //! The robot's own body, taken out of the depth images: the URDF's collision shapes at each posture.
 
 use super::DatasetError;
+use skclam_files::{Kind, inside};
 use skclam_geometry::{DepthCamera, DepthImage};
 use skclam_kinematics::{CollisionModel, CollisionShape};
 use skclam_mapping::{Body, BodyShape, Model, SurfaceIndex, TriangleMesh, read_stl, without_bodies};
 use skclam_rig::{Posture, PostureState, Rig};
-use std::fs::File;
-use std::io::BufReader;
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -37,15 +37,16 @@ pub struct SelfFilter {
 }
 
 impl SelfFilter {
-    /// Reads a URDF and the STL files it names (`package://name/...` is looked for in the URDF's folder and in those above it).
+    /// Reads a URDF and the STL files it names (`package://name/...` is looked for in the URDF's folder and in those
+    /// above it).
     ///
     /// # Errors
     /// A URDF that is none, one without any usable shape, or one that lacks a joint of the rig's arm.
     pub fn read(urdf: impl AsRef<Path>, rig: &Rig, options: SelfFilterOptions) -> Result<Self, DatasetError> {
         let path = urdf.as_ref();
         let wrong = |problem: String| DatasetError::SelfFilter { path: path.to_owned(), problem };
-        let text =
-            std::fs::read_to_string(path).map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
+        let text = skclam_files::read_text(path, Kind::RobotDescription)
+            .map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
         let model =
             CollisionModel::from_urdf(&text, options.base_link.as_deref()).map_err(|error| wrong(error.to_string()))?;
         let Some(robot) = &rig.robot else {
@@ -129,8 +130,8 @@ fn mesh(urdf: &Path, name: &str, scale: [f64; 3]) -> Result<BodyShape, String> {
     if !is_stl {
         return Err(format!("{name}: only STL meshes are read"));
     }
-    let path = find(urdf, name).ok_or_else(|| format!("{name}: no such file beside the URDF or above it"))?;
-    let file = File::open(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let path = find(urdf, name).map_err(|error| format!("{name}: {error}"))?;
+    let file = skclam_files::open(&path, Kind::Mesh).map_err(|error| format!("{}: {error}", path.display()))?;
     let mut mesh: TriangleMesh =
         read_stl(BufReader::new(file)).map_err(|error| format!("{}: {error}", path.display()))?;
     let mut radius_m = 0f64;
@@ -144,16 +145,30 @@ fn mesh(urdf: &Path, name: &str, scale: [f64; 3]) -> Result<BodyShape, String> {
     Ok(BodyShape::Mesh { surface: Arc::new(surface), radius_m })
 }
 
-/// A mesh by its name in the URDF: `file://` and plain paths from the URDF's folder; `package://p/rest` as `p/rest` or `rest` in
-/// that folder and those above it.
-fn find(urdf: &Path, name: &str) -> Option<PathBuf> {
-    let folder = urdf.parent()?;
-    let Some(inside) = name.strip_prefix("package://") else {
-        return Some(folder.join(name.strip_prefix("file://").unwrap_or(name))).filter(|path| path.is_file());
+/// A mesh by its name in the URDF. Plain names and `file://` stay in the URDF's folder. `package://p/rest` is
+/// `p/rest` or `rest` in that folder; in a folder above it that is called `p` or is a ROS package (`package.xml`),
+/// `rest`; and beside such folders `rest` in a package `p`. Nothing else outside of the folder is opened, whatever
+/// the URDF names.
+fn find(urdf: &Path, name: &str) -> io::Result<PathBuf> {
+    let folder = match urdf.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
     };
-    let rest = inside.split_once('/').map_or(inside, |(_, rest)| rest);
-    let folder = folder.canonicalize().ok()?;
-    folder.ancestors().flat_map(|above| [above.join(inside), above.join(rest)]).find(|path| path.is_file())
+    let Some(in_package) = name.strip_prefix("package://") else {
+        return inside(folder, name.strip_prefix("file://").unwrap_or(name));
+    };
+    let (package, rest) = in_package.split_once('/').unwrap_or(("", in_package));
+    let beside = inside(folder, in_package).or_else(|_| inside(folder, rest));
+    let real = folder.canonicalize()?;
+    let is_package = |folder: &Path| folder.join("package.xml").is_file();
+    let roots = real.ancestors().flat_map(|above| {
+        let is_named = above.file_name().is_some_and(|name| name == package);
+        let sibling = Some(above.join(package))
+            .filter(|folder| skclam_files::is_inside(Path::new(package)) && is_package(folder));
+        [Some(above.to_owned()).filter(|above| is_named || is_package(above)), sibling]
+    });
+    let mut above = roots.flatten().filter_map(|root| inside(root, rest).ok());
+    beside.or_else(|error| above.next().ok_or(error))
 }
 
 #[cfg(test)]
@@ -161,6 +176,7 @@ mod tests {
     use super::*;
     use skclam_geometry::{Isometry3, PinholeCamera};
     use skclam_mapping::TriangleMesh as Mesh;
+    use std::fs::File;
 
     /// One turning joint, a camera 0.3 m above it that looks along the arm, and a gripper's ball and plate in its view.
     const URDF: &str = r#"<robot name="one"><link name="base"/><link name="arm">

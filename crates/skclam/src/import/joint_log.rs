@@ -4,6 +4,7 @@
 use super::ImportError;
 use skclam_kinematics::{JointKind, SerialChain};
 use skclam_recordings::JointTrack;
+use std::io::Read;
 use std::path::Path;
 
 /// Reads a log. `offset_s`: what is to be added to its times to get the times of the images.
@@ -11,7 +12,9 @@ use std::path::Path;
 /// # Errors
 /// [`ImportError::JointLog`] with the line; [`ImportError::Io`].
 pub fn read_joint_log(path: &Path, robot: &SerialChain, offset_s: f64) -> Result<JointTrack, ImportError> {
-    let file = std::fs::File::open(path).map_err(|source| ImportError::Io { path: path.to_owned(), source })?;
+    let file = skclam_files::open(path, skclam_files::Kind::JointLog)
+        .map_err(|source| ImportError::Io { path: path.to_owned(), source })?
+        .take(skclam_files::Kind::JointLog.max_bytes());
     let wrong = |line: u64, problem: String| ImportError::JointLog { path: path.to_owned(), line, problem };
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(std::io::BufReader::new(file));

@@ -2,9 +2,11 @@
 //! which postures should see the same, how well each parameter can be told from them, and what is likely to go wrong.
 
 mod expected;
+mod failure;
 mod warnings;
 
 pub use expected::{ExpectedParameter, ExpectedSigmaOptions, ExpectedSigmas, JointToMove};
+pub use failure::likely_cause;
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::pipeline::{

@@ -3,6 +3,7 @@
 use super::{MarkerPoint, MarkerPoints};
 use crate::dataset::{DatasetError, csv_problem, joint_column};
 use nalgebra::Vector3;
+use std::io::Read;
 use std::path::Path;
 
 /// The most points that are read.
@@ -35,7 +36,9 @@ struct Columns {
 /// # Errors
 /// File, line and column of what is wrong, and what was expected.
 pub(super) fn read(path: &Path) -> Result<MarkerPoints, DatasetError> {
-    let file = std::fs::File::open(path).map_err(|source| DatasetError::Io { path: path.to_owned(), source })?;
+    let file = skclam_files::open(path, skclam_files::Kind::Targets)
+        .map_err(|source| DatasetError::Io { path: path.to_owned(), source })?
+        .take(skclam_files::Kind::Targets.max_bytes());
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(std::io::BufReader::new(file));
     let table = Table { path };

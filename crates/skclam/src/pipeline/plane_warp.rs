@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn the_bend_of_a_plane_follows_from_its_linear_part() {
         let mut camera = PinholeCamera::from_hfov(1280, 720, 1.2);
-        camera.distortion.k1 = -0.12;
+        camera.distortion[0] = -0.12;
         let b_from_a = Isometry3::new(Vector3::new(-0.25, 0.1, 0.15), Vector3::new(0.05, 0.2, -0.4));
         let in_a = Pixel::new(700.0, 300.0);
         let view = TwoViews { camera: &camera, b_from_a, in_a, ray: camera.unproject(&in_a) };

@@ -31,8 +31,7 @@ use serde::Serialize;
 use skclam_geometry::Isometry3;
 use skclam_rig::{Posture, PostureState, Rig, RigFileError};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufReader, Read as _, Seek, Write};
+use std::io::{BufReader, Seek, Write};
 use std::path::{Path, PathBuf};
 use writer::{RecordingWriter, Time};
 
@@ -128,7 +127,6 @@ pub struct RecordedResult {
 }
 
 /// The largest `summary.json` that is read.
-const MAX_SUMMARY_BYTES: u64 = 256 << 20;
 
 /// Writes the result of a run as MCAP. `dataset`: with the nominal rig, as the run had it. `result`: the run's folder, or a rig file.
 ///
@@ -167,10 +165,10 @@ pub fn record_result<W: Write + Seek>(
     let base = options.base_frame.as_str();
     let mut about = BTreeMap::from([
         ("program".to_owned(), concat!("skclam ", env!("CARGO_PKG_VERSION")).to_owned()),
-        ("rig".to_owned(), calibrated.name.clone()),
+        ("rig".to_owned(), skclam_files::shown(&calibrated.name).into_owned()),
     ]);
     if let Some((summary, text)) = &summary {
-        about.insert("verdict".to_owned(), summary.verdict.clone());
+        about.insert("verdict".to_owned(), skclam_files::on_screen(&summary.verdict).into_owned());
         writer.attachment("summary.json", "application/json", begin, text)?;
     }
     writer.metadata("skclam", about)?;
@@ -190,7 +188,7 @@ pub fn record_result<W: Write + Seek>(
             return Ok(None);
         }
         let wrong = |problem: String| ResultRecordingError::File { path: path.clone(), problem };
-        let file = File::open(&path).map_err(|error| wrong(error.to_string()))?;
+        let file = skclam_files::open(&path, skclam_files::Kind::Map).map_err(|error| wrong(error.to_string()))?;
         let model = skclam_mapping::read_ply(BufReader::new(file)).map_err(|error| wrong(error.to_string()))?;
         writer.message(topic, begin, &messages::point_cloud(begin, base, model.points()))?;
         Ok(Some(model.points().len()))
@@ -284,7 +282,9 @@ fn frames(
 fn color_file(dataset: &Dataset, position: usize) -> Result<(&'static str, Vec<u8>), ResultRecordingError> {
     let path = dataset.folder.join(&dataset.records[position].color);
     let wrong = |problem: String| ResultRecordingError::File { path: path.clone(), problem };
-    let bytes = std::fs::read(&path).map_err(|error| wrong(error.to_string()))?;
+    let bytes = skclam_files::inside(&dataset.folder, &dataset.records[position].color)
+        .and_then(|path| skclam_files::read(path, skclam_files::Kind::Image))
+        .map_err(|error| wrong(error.to_string()))?;
     Ok(match image::guess_format(&bytes) {
         Ok(image::ImageFormat::Jpeg) => ("jpeg", bytes),
         Ok(image::ImageFormat::Png) => ("png", bytes),
@@ -305,9 +305,7 @@ fn read_summary(result: &Path, left_out: &mut Vec<String>) -> Result<Option<(Sum
         return Ok(None);
     }
     let wrong = |problem: String| ResultRecordingError::File { path: path.clone(), problem };
-    let mut text = String::new();
-    let file = File::open(&path).map_err(|error| wrong(error.to_string()))?;
-    file.take(MAX_SUMMARY_BYTES).read_to_string(&mut text).map_err(|error| wrong(error.to_string()))?;
+    let text = skclam_files::read_text(&path, skclam_files::Kind::Summary).map_err(|error| wrong(error.to_string()))?;
     let summary = serde_json::from_str(&text).map_err(|error| wrong(format!("no summary of a run: {error}")))?;
     Ok(Some((summary, text)))
 }

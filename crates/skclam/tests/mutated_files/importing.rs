@@ -4,7 +4,7 @@ use super::seeds::IMAGE_SIZE;
 use skclam::dataset::{Dataset, write_depth_png};
 use skclam::geometry::DepthImage;
 use skclam::import::{ImportOptions, import_recording};
-use skclam::output::StagedFolder;
+use skclam::output::{Contents, StagedFolder};
 use skclam::progress::Silent;
 use skclam::recordings::{Recording, Selection};
 use skclam::rig::{Rig, builtin_rig};
@@ -58,7 +58,7 @@ pub fn import(path: &Path) -> bool {
         let Ok(mut recording) = Recording::open(path) else { return false };
         let mut options = ImportOptions::default();
         options.selection.selection = selection;
-        let staged = StagedFolder::new(folder.join("out")).unwrap();
+        let staged = StagedFolder::new(folder.join("out"), Contents::DataSet).unwrap();
         done += usize::from(import_recording(&mut recording, rig(), None, &options, &staged, &Silent).is_ok());
     }
     done == 2
