@@ -45,6 +45,8 @@ const SMALLEST_DAMPING: f64 = 1e-9;
 /// A diagonal entry below this fraction of the greatest (in units of the parameters' scales) is rounding.
 const UNSEEN: f64 = 1e-14;
 const GREATEST_DAMPING: f64 = 1e10;
+/// Equations that cannot be solved with this damping have no solution.
+const SINGULAR_DAMPING: f64 = 1.0;
 
 /// Descends from `state`. `propose(state, damping)` solves for a step and evaluates it.
 pub(crate) fn descend<S>(
@@ -60,7 +62,15 @@ pub(crate) fn descend<S>(
         if iterations >= limits.max_iterations {
             break StopReason::IterationLimit { limit: limits.max_iterations };
         }
-        let proposal = propose(&state, damping)?;
+        let proposal = match propose(&state, damping) {
+            // Rounding made of a matrix that is barely definite one that is not: a shorter step has a better one.
+            Err(CalibrationError::Singular { .. }) if damping < SINGULAR_DAMPING => {
+                iterations += 1;
+                damping = (damping * 10.0).max(1e-6);
+                continue;
+            }
+            other => other?,
+        };
         iterations += 1;
         evaluations += 1;
         let gain = cost - proposal.cost;

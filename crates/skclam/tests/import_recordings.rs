@@ -24,7 +24,7 @@ const JOINTS: [[f64; 6]; 3] = [
 ];
 
 /// Joints, pixels and rig of a dataset.
-type Contents = (Vec<Vec<f64>>, Vec<Vec<u8>>, Rig);
+type Imported = (Vec<Vec<f64>>, Vec<Vec<u8>>, Rig);
 
 #[test]
 fn five_recordings_give_the_same_three_postures() {
@@ -35,7 +35,7 @@ fn five_recordings_give_the_same_three_postures() {
     }
     let rig = Rig::read(rig).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let mut first: Option<Contents> = None;
+    let mut first: Option<Imported> = None;
     for name in RECORDINGS {
         for color_topic in ["/camera/color/image_raw", "/camera/color/image_raw/compressed"] {
             let raw = color_topic.ends_with("raw");

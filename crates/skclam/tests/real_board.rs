@@ -58,7 +58,8 @@ fn a_board_alone_calibrates_a_real_arm() {
     assert!((1.1..1.2).contains(&nominal), "{nominal}");
     // Joints are off in every posture anew, and the calibrated arm alone does not know by how much: what is left is more than the corners' noise.
     assert!(calibrated < 0.75 * nominal, "{calibrated}");
-    assert!(calibration.noise.pixel < 0.3, "{:?}", calibration.noise);
+    // Corners scatter about as their own sigmas say.
+    assert!((0.5..2.0).contains(&calibration.noise.pixel), "{:?}", calibration.noise);
     let joint_error = calibration.noise.posture_angular.unwrap().to_degrees();
     assert!((0.005..0.05).contains(&joint_error), "{joint_error} deg");
 

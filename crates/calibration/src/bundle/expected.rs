@@ -182,10 +182,15 @@ mod tests {
         let options = ExpectationOptions { pixel_sigma: 0.5, joint_error_deg: 0.0, ..Default::default() };
         let expected = expected_calibration(&hp3j(), &views, &options).unwrap();
         assert_eq!(expected.parameters.len(), fitted.parameters.len());
+        let mut compared = 0;
         for (expected, fitted) in expected.parameters.iter().zip(&fitted.parameters) {
-            let ratio = expected.sigma.unwrap() / fitted.sigma.unwrap();
-            assert!((0.6..1.7).contains(&ratio), "{}: {expected:?} {fitted:?}", fitted.parameter);
+            let (Some(before), Some(after)) = (expected.sigma, fitted.sigma) else { continue };
+            compared += 1;
+            // How far the arm's lengths are off is averaged over beforehand and known afterwards.
+            let range = if fitted.parameter.unit() == crate::Unit::Radian { 0.6..1.7 } else { 0.25..4.0 };
+            assert!(range.contains(&(before / after)), "{}: {expected:?} {fitted:?}", fitted.parameter);
         }
+        assert!(compared > 20, "{compared}");
         let twice = ExpectationOptions { pixel_sigma: 1.0, priors: PriorPolicy::Never, ..options.clone() };
         let alone = ExpectationOptions { priors: PriorPolicy::Never, ..options };
         let [twice, alone] = [twice, alone].map(|options| expected_calibration(&hp3j(), &views, &options).unwrap());

@@ -17,6 +17,7 @@ mod predicted;
 mod random_effects;
 mod reduced;
 mod residuals;
+mod ruler;
 mod solve;
 mod start;
 mod state;

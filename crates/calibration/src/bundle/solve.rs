@@ -8,6 +8,7 @@ use crate::bundle::outliers::{judged, outlier_postures};
 use crate::bundle::posterior::{Likelihood, PosteriorInputs, RulerPosterior};
 use crate::bundle::random_effects::{PostureErrorModel, likeliest_groups};
 use crate::bundle::residuals::ResidualSize;
+use crate::bundle::ruler::grown_together;
 use crate::bundle::start::{start, triangulate_all};
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::error_function::epipolar_statistics;
@@ -547,6 +548,18 @@ impl BundleAdjuster<'_> {
         if noise.pixel > LARGE_SIGMA {
             warnings.push(Warning::LargeResiduals { sigma: noise.pixel });
         }
+        let ruler = self.ruler.zip(known.ruler).map(|(at, ruler)| Ruler {
+            parameter: self.parameters[at],
+            prior_sigma: priors.sigmas[at].unwrap_or(f64::INFINITY),
+            mean: ruler.mean,
+            sigma: ruler.sigma,
+            held: self.held.is_some(),
+            covariance: ruler.covariance,
+        });
+        let contradicted = warnings.iter().any(|warning| matches!(warning, Warning::RulerContradicted { .. }));
+        if let (Some(ruler), false) = (&ruler, contradicted) {
+            warnings.extend(grown_together(&estimates, ruler));
+        }
         warnings.extend(beyond_prior(&estimates, &priors, &known.covariance));
         let nominal_model = Model::new(self.nominal.clone());
         let before = self.evaluate(&nominal_model, &[], &observations, noise, Some(&state))?;
@@ -567,14 +580,7 @@ impl BundleAdjuster<'_> {
                 posture_linear: self.errors.kinds.contains(&crate::ErrorKind::Linear).then_some(noise.posture.linear),
                 outlier_fraction,
             },
-            ruler: self.ruler.zip(known.ruler).map(|(at, ruler)| Ruler {
-                parameter: self.parameters[at],
-                prior_sigma: priors.sigmas[at].unwrap_or(f64::INFINITY),
-                mean: ruler.mean,
-                sigma: ruler.sigma,
-                held: self.held.is_some(),
-                covariance: ruler.covariance,
-            }),
+            ruler,
             prior_scales: PriorGroup::ALL
                 .into_iter()
                 .filter_map(|group| Some(PriorScale { group, sigma: priors.group_sigma(group)? }))

@@ -233,7 +233,7 @@ fn noisy_rgbd_is_fitted_within_its_sigmas() {
     assert!((result.noise.pixel - 0.5).abs() < 0.02, "{:?}", result.noise);
     assert!((result.noise.depth_per_m.unwrap() - 0.0044).abs() < 2e-4, "{:?}", result.noise);
     let error = camera_error(&truth, &result.model.rig, &data.postures);
-    assert!(error < 2e-4, "{error}");
+    assert!(error < 4e-4, "{error}");
 }
 
 #[test]

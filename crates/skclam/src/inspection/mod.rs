@@ -309,7 +309,8 @@ mod tests {
         assert!(good.images.iter().all(|image| image.median_depth_m.is_some_and(|z| (0.1..3.0).contains(&z))));
         let expected = good.expected.as_ref().unwrap();
         assert!(expected.rank == expected.free && expected.joints_to_move.is_empty(), "{expected:?}");
-        assert!((0.005..0.3).contains(&expected.camera_sigma_mm.mean), "{expected:?}");
+        // Most of it is the tolerance of the depth's scale.
+        assert!((0.05..3.0).contains(&expected.camera_sigma_mm.mean), "{expected:?}");
         assert!(expected.told > expected.free / 2, "{expected:?}");
         dataset.records.truncate(3);
         let bad = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
@@ -345,7 +346,7 @@ mod tests {
         let expected = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap().expected;
         let expected = expected.unwrap();
         let none = expected.parameters.iter().filter(|parameter| parameter.sigma.is_none()).count();
-        assert!(none > 10 && expected.told < 10, "{expected:?}");
+        assert!(none > 10 && expected.told < expected.free / 2, "{expected:?}");
     }
 
     #[test]

@@ -267,45 +267,12 @@ fn ruler(calibration: &Calibration) -> Option<Cause> {
     });
     let doubted = calibration.ruler.as_ref().map(|ruler| (ruler.parameter, ruler.mean, ruler.sigma, false));
     let (parameter, mean, sigma, certain) = contradicted.or(doubted)?;
-    let of = |mean: f64, sigma: f64, certain: bool| Cause::Ruler {
+    (certain || mean.abs() > DOUBTED_SIGMAS * sigma).then(|| Cause::Ruler {
         what: instrument(parameter),
         scale_error_percent: mean * 100.0,
         sigma_percent: sigma * 100.0,
         certain,
-    };
-    if certain || mean.abs() > DOUBTED_SIGMAS * sigma {
-        return Some(of(mean, sigma, certain));
-    }
-    // A slip of the pen is beyond every tolerance, so that lengths that are all wrong seemed likelier; but they grew together.
-    let tolerance = calibration.ruler.as_ref().map_or(f64::INFINITY, |ruler| ruler.prior_sigma);
-    let (growth, sigma) = common_growth(calibration)?;
-    let together = growth.abs() > TOGETHER_SIGMAS * sigma && growth.abs() > DOUBTED_SIGMAS * tolerance;
-    // The standard is as much too small as lengths came out too small.
-    together.then(|| of(-growth, sigma, true))
-}
-
-/// Lengths that grew by the same factor, in standard errors of that factor by their own scatter about it.
-const TOGETHER_SIGMAS: f64 = 6.0;
-/// Fewer lengths do not show that.
-const MIN_LENGTHS: usize = 5;
-
-/// The common factor less 1 by which the arm's lengths grew, and its standard error from how they scatter about it.
-fn common_growth(calibration: &Calibration) -> Option<(f64, f64)> {
-    let lengths: Vec<(f64, f64)> = calibration
-        .parameters
-        .iter()
-        .filter(|estimate| {
-            matches!(estimate.parameter, Parameter::Chain(_)) && estimate.parameter.unit() == Unit::Metre
-        })
-        .map(|estimate| (estimate.nominal, estimate.value - estimate.nominal))
-        .collect();
-    let weight: f64 = lengths.iter().map(|(length, _)| length * length).sum();
-    if lengths.len() < MIN_LENGTHS || weight <= 0.0 {
-        return None;
-    }
-    let growth = lengths.iter().map(|(length, change)| length * change).sum::<f64>() / weight;
-    let squares: f64 = lengths.iter().map(|(length, change)| (change - growth * length).powi(2)).sum();
-    Some((growth, (squares / (lengths.len() - 1) as f64 / weight).sqrt()))
+    })
 }
 
 fn of_pattern(finding: &PatternFinding, index: &dyn Fn(usize) -> Option<u64>) -> Cause {

@@ -267,7 +267,7 @@ mod tests {
             ),
             ("no sigma", Evidence { error: None, ..good() }, None, Caution, "not estimated", "fell"),
             ("sigma above change", Evidence { error: error(0.3, 0.5), ..good() }, None, Caution, "Do not use", "fell"),
-            ("unchecked", Evidence { sigma_checked: false, ..good() }, None, Caution, "too few", "fell"),
+            ("unchecked", Evidence { sigma_checked: false, ..good() }, None, Caution, "too few", "NOT"),
             ("cause", good(), Some(&cause), Caution, "focal length", "DO NOT"),
             (
                 "no arm",

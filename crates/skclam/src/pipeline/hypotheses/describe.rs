@@ -77,7 +77,7 @@ pub fn describe(finding: &GrossFinding) -> String {
         GrossCause::OtherArm => format!(
             "the images agree with each other, but these postures of this arm do not explain them: {before} remain \
              with the mount fitted, and none of {} mistakes that were tried explains it (the best leaves {after}). Is it the rig of this \
-             arm, and are these the postures of this recording?",
+             arm, are these the postures of this recording, and is [color] of this camera at this resolution?",
             finding.tried,
         ),
         GrossCause::SceneOrCamera => format!(
