@@ -139,6 +139,10 @@ fn damaged_results_are_answered() {
     run(dataset.path(), &out, &[]);
     let data = out.join("report_data.json");
     let text = fs::read_to_string(&data).unwrap();
+    fs::write(&data, text.replacen("\"format\":2", "\"format\":99", 1)).unwrap();
+    assert!(fail(&["report", utf8(&out)]).contains("not of one piece"), "a file that was changed afterwards");
+    // A result without a list of its files is read file by file.
+    fs::remove_file(out.join("manifest.json")).unwrap();
     for (from, to, said) in [
         ("\"format\":2", "\"format\":99", "format 99"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"AAAA", "map.calibrated_m"),

@@ -94,8 +94,9 @@ fn unchanging(path: &Path) -> String {
 }
 
 fn connect(path: &Path) -> Result<Connection, Problem> {
-    // Asked first: SQLite makes the log anew where it is missing.
-    let missing_log = write_ahead_log(path)?.filter(|log| !log.exists());
+    // Asked first: SQLite makes the log anew, and empty, where it is missing.
+    let is_empty = |log: &PathBuf| log.metadata().map_or(true, |metadata| metadata.is_file() && metadata.len() == 0);
+    let missing_log = write_ahead_log(path)?.filter(is_empty);
     // SQLite opens what stands beside the database under its name, whatever it is.
     for ending in ["-wal", "-shm", "-journal"] {
         let mut beside = path.as_os_str().to_owned();
