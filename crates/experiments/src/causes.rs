@@ -114,11 +114,28 @@ pub fn of_entry(entry: &Value) -> Result<Option<Cause>> {
         ("pattern", _, "camera_slip") => Cause::MountStep,
         ("pattern", _, "transmission") => Cause::Gears,
         ("pattern", _, "compliance") => Cause::Compliance,
+        ("few_postures", ..) => Cause::FewPostures,
+        ("depth_shift", ..) => Cause::ImageShift,
+        ("gross", ..) => of_gross(text("/finding/cause/kind"), entry)?,
         ("depth_noise", ..) => Cause::DepthNoise,
         ("posture_noise", ..) => Cause::PostureNoise,
         ("beyond", "arm", _) => return Ok(None),
         _ => bail!("the cause {entry} is not known"),
     }))
+}
+
+/// The cause that a gross mistake is.
+fn of_gross(kind: &str, entry: &Value) -> Result<Cause> {
+    Ok(match kind {
+        "joint_sign" => Cause::JointSign,
+        "joints_swapped" => Cause::JointOrder,
+        "degrees_for_radians" | "radians_for_degrees" => Cause::Degrees,
+        "postures_shifted" => Cause::ImageShift,
+        "mount_far_off" => Cause::MountFarOff,
+        "link_convention" | "other_arm" => Cause::WrongArm,
+        "scene_or_camera" => Cause::FocalLength,
+        _ => bail!("the cause {entry} is not known"),
+    })
 }
 
 /// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?") is no naming.

@@ -126,8 +126,6 @@ pub struct RecordedResult {
     pub left_out: Vec<String>,
 }
 
-/// The largest `summary.json` that is read.
-
 /// Writes the result of a run as MCAP. `dataset`: with the nominal rig, as the run had it. `result`: the run's folder, or a rig file.
 ///
 /// The residuals need the matches, which a result does not keep: they are found again by the configuration in `summary.json`, which takes
