@@ -100,8 +100,8 @@ fn noise_and_gross_errors_do_not_hide_offset_and_frame() {
         assert_eq!((found.tested.points, found.tested.dof), (45, 3 * 45 - 9));
         assert!((0.07..0.13).contains(&found.tested.sigma_mm), "seed {seed}: {}", found.tested.sigma_mm);
         let offset = &found.tested.offsets[0];
-        for axis in 0..3 {
-            z_square += ((offset.offset_mm[axis] - 1e3 * OFFSET_M[axis]) / offset.sigma_mm.unwrap()[axis]).powi(2);
+        for (axis, truth_m) in OFFSET_M.iter().enumerate() {
+            z_square += ((offset.offset_mm[axis] - 1e3 * truth_m) / offset.sigma_mm.unwrap()[axis]).powi(2);
             count += 1.0;
         }
     }

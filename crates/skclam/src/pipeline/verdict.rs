@@ -232,7 +232,8 @@ mod tests {
             unit: "px".to_owned(),
             chi_squared: 1e4,
         };
-        let rows: Vec<(&str, Evidence, Option<&Cause>, VerdictGrade, &str, &str)> = vec![
+        type Row<'a> = (&'a str, Evidence, Option<&'a Cause>, VerdictGrade, &'a str, &'a str);
+        let rows: Vec<Row<'_>> = vec![
             ("clean", good(), None, Good, "fell from about 4.0 to about 0.30 mm", "NOT"),
             ("lines", Evidence { epipolar_px: Some([9.0, 2.5]), ..good() }, None, Bad, "DO NOT TRUST", "fell"),
             ("pixels", Evidence { reprojection_px: Some(6.0), ..good() }, None, Bad, "6.0 px", "fell"),
