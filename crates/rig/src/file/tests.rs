@@ -97,7 +97,7 @@ fn errors_name_the_file_the_key_and_the_cure() {
     assert!(message.contains("depth.unit_mm") && message.contains("0.1 to 5"), "{message}");
     let message = with("fx = 1371.02", "fx = 1e-300");
     assert!(message.contains("color.fx") && message.contains("field of view"), "{message}");
-    let message = with("width = 1920", "mask = \"../mask.png\"\nwidth = 1920");
+    let message = with("mask = \"mask.png\"", "mask = \"../mask.png\"");
     assert!(message.contains("color.mask") && message.contains("leaves the folder"), "{message}");
     let message = with("width = 1920", "width = 0");
     assert!(message.contains("color.width"), "{message}");
