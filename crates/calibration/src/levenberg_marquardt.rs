@@ -69,6 +69,8 @@ pub(crate) fn descend<S>(
                 damping = (damping * 10.0).max(1e-6);
                 continue;
             }
+            // Nothing leads on from here: what was reached stands, and does not count as converged.
+            Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoDescent { damping },
             other => other?,
         };
         iterations += 1;
