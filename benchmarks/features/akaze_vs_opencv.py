@@ -338,7 +338,7 @@ def instructions():
         found = re.search(r"skclam_features::akaze::(\w+)::(\w+)", function)
         if found:
             sums["::".join(found.groups())] += int(count.replace(",", ""))
-    for function, count in sums.most_common():
+    for function, count in sums.max_common():
         if count > 1e6:
             print(f"{function:32} {count / 1e6:8.1f}")
     print(f"{'sum of named functions':32} {sum(sums.values()) / 1e6:8.1f}")

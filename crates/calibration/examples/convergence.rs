@@ -14,8 +14,8 @@ use skclam_rig::Rig;
 #[path = "../testing/synthetic.rs"]
 mod synthetic;
 use synthetic::{
-    Errors, Sensing, camera_error, diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, normal, perturbed,
-    record, room, seeded,
+    Errors, Sensing, box_points, camera_error, diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, normal,
+    perturbed, record, seeded,
 };
 
 /// A run has found the right minimum when the mean camera error over the postures is below this, m.
@@ -46,7 +46,7 @@ fn far_starts(starts: usize) {
         let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
         let postures = diverse_postures(&hp3j(), 40, &mut rng);
         let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
-        let data = record(&truth, &postures, &room(4000, &mut rng), sensing, &mut rng);
+        let data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
         // So far off are no tolerances of manufacture: the priors would only bias the answer.
         let options =
             BundleOptions { priors: PriorPolicy::Never, posture_errors: PostureErrorPolicy::Off, ..Default::default() };
@@ -73,7 +73,7 @@ fn unknown_mounts(starts: usize) {
         truth.flange_from_color = Isometry3::from_parts(shift.into(), UnitQuaternion::from_scaled_axis(turn));
         let postures = diverse_postures(&hp3j(), 40, &mut rng);
         let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
-        let mut data = record(&truth, &postures, &room(4000, &mut rng), sensing, &mut rng);
+        let mut data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
         let all: Vec<(usize, usize)> = (0..40).flat_map(|a| (a + 1..40).map(move |b| (a, b))).collect();
         // Matches that were made without an epipolar gate: two in five are wrong.
         data.pairs = fresh_pairs(&truth, &postures, &all, 8, Sensing { outliers: 0.4, ..half_pixel() }, &mut rng);

@@ -15,8 +15,8 @@ use skclam_rig::{PostureState, Rig};
 #[path = "../testing/synthetic.rs"]
 mod synthetic;
 use synthetic::{
-    Errors, Sensing, diverse_postures, half_pixel, hp3j, joints, manufacture, normal, paper_postures, perturbed, room,
-    seeded,
+    Errors, Sensing, box_points, diverse_postures, half_pixel, hp3j, joints, manufacture, normal, paper_postures,
+    perturbed, seeded,
 };
 
 /// A scene without noise: points, and who sees them.
@@ -58,7 +58,7 @@ fn main() {
         let mut rng = seeded(2026);
         let truth = perturbed(&hp3j(), free, errors, &mut rng);
         let postures = if diverse > 0 { diverse_postures(&hp3j(), diverse, &mut rng) } else { paper_postures(&hp3j()) };
-        let points = room(6000, &mut rng);
+        let points = box_points(6000, &mut rng);
         let silent =
             Sensing { sigma_px: 0.0, depth_relative: sensing.depth_relative.map(|_| 0.0), encoder: 0.0, ..sensing };
         tracked(truth, postures, &points, silent, free.clone(), sensing)
@@ -152,7 +152,7 @@ fn report(name: &str, scene: &Scene, estimator: &Estimator, runs: usize) {
     let nees = mean(&|run| run.nees);
     let half = 1.96 * (2.0 * count as f64 / runs as f64).sqrt();
     println!("## {name}\n");
-    println!("{} tracks, {} sights\n", scene.exact.tracks.len(), scene.exact.observation_count());
+    println!("{} tracks, {} observations\n", scene.exact.tracks.len(), scene.exact.observation_count());
     println!("| parameter | bound | RMSE | RMSE / bound |\n| --- | --- | --- | --- |");
     let mut worst: f64 = 0.0;
     for (k, parameter) in parameters.iter().enumerate() {
@@ -172,7 +172,7 @@ fn report(name: &str, scene: &Scene, estimator: &Estimator, runs: usize) {
     println!("mean NEES {nees:.2} of {count}, 95 % band {low:.2} to {high:.2}: {}", verdict(nees > low && nees < high));
     print!("means: pixel noise {:.4} px", mean(&|run| run.noise.pixel));
     if let Some(depth) = scene.sensing.depth_relative {
-        print!(", depth noise / truth {:.4}", mean(&|run| run.noise.depth_per_m.unwrap_or(f64::NAN)) / depth);
+        print!(", depth noise / truth {:.4}", mean(&|run| run.noise.depth_sigma_per_m2.unwrap_or(f64::NAN)) / depth);
     }
     if results.iter().all(|run| run.noise.posture_angular.is_some()) {
         let sigma = |run: &Run| run.noise.posture_angular.unwrap_or(f64::NAN).to_degrees();
@@ -236,7 +236,7 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
     Run { nees: scaled.dot(&solved), error, noise: result.noise, left_out }
 }
 
-/// Sigmas of the bound: information of all sights with points (and joint errors under their prior) eliminated.
+/// Sigmas of the bound: information of all observations with points (and joint errors under their prior) eliminated.
 fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
     let count = parameters.len();
     let model = Model::new(scene.truth.clone());
@@ -282,9 +282,9 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
     for (track, point) in scene.exact.tracks.iter().zip(&scene.points) {
         let mut own = Matrix3::zeros();
         let mut rows: Vec<(usize, SMatrix<f64, 3, 3>, Vec<Vector3<f64>>)> = Vec::new();
-        for sight in &track.observations {
-            let depth = sight.depth_m.is_some();
-            let here = scene.truth.base_from_color(&scene.postures[sight.posture]).expect("a pose").inverse();
+        for observation in &track.observations {
+            let depth = observation.depth_m.is_some();
+            let here = scene.truth.base_from_color(&scene.postures[observation.posture]).expect("a pose").inverse();
             let by_point = Matrix3::from_columns(&std::array::from_fn::<_, 3, _>(|axis| {
                 let mut offset = Vector3::zeros();
                 offset[axis] = 1e-6;
@@ -292,12 +292,12 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
             }));
             let by_unknown = (0..count + joint_count)
                 .map(|k| {
-                    let (up, down) = &moved[sight.posture][k];
+                    let (up, down) = &moved[observation.posture][k];
                     (measure(up, point, depth) - measure(down, point, depth)) / (2.0 * step(k))
                 })
                 .collect();
             own += by_point.transpose() * by_point;
-            rows.push((sight.posture, by_point, by_unknown));
+            rows.push((observation.posture, by_point, by_unknown));
         }
         let index = |posture: usize, k: usize| if k < count { k } else { count + posture * joint_count + k - count };
         let mut coupling: std::collections::BTreeMap<usize, Vector3<f64>> = Default::default();

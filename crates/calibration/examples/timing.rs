@@ -9,8 +9,8 @@ use std::time::Instant;
 #[path = "../testing/synthetic.rs"]
 mod synthetic;
 use synthetic::{
-    Errors, Sensing, diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, neighbours, paper_postures,
-    perturbed, record, room, seeded,
+    Errors, Sensing, box_points, diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, neighbours,
+    paper_postures, perturbed, record, seeded,
 };
 
 fn main() {
@@ -124,24 +124,25 @@ fn dump(truth: &skclam_rig::Rig, data: &Correspondences, path: &str) {
     std::fs::write(format!("{path}-angles.csv"), text).expect("a file");
 }
 
-/// A million sights, 60 parameters, as `--free all` with gears and compliance.
+/// A million observations, 60 parameters, as `--free all` with gears and compliance.
 fn bundle() {
     let mut rng = seeded(2);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 100, &mut rng);
-    // Fewer sights on demand: `timing bundle 100000`.
-    let sights = std::env::args().nth(2).and_then(|sights| sights.parse().ok()).unwrap_or(1_000_000usize);
-    let points = room(sights, &mut rng);
-    let sensing = Sensing { depth_relative: Some(0.0044), keypoints: sights / 100, ..half_pixel() };
+    // Fewer observations on demand: `timing bundle 100000`.
+    let observations =
+        std::env::args().nth(2).and_then(|observations| observations.parse().ok()).unwrap_or(1_000_000usize);
+    let points = box_points(observations, &mut rng);
+    let sensing = Sensing { depth_relative: Some(0.0044), keypoints: observations / 100, ..half_pixel() };
     let data = record(&truth, &postures, &points, sensing, &mut rng);
     drop(points);
     let mut parameters = Free::All.candidates(&hp3j(), true, true).expect("the rig's own");
-    parameters.extend((0..6).flat_map(|j| [Parameter::GearSin(j), Parameter::GearCos(j)]));
+    parameters.extend((0..6).flat_map(|j| [Parameter::TransmissionSin(j), Parameter::TransmissionCos(j)]));
     parameters.push(Parameter::Compliance(1));
     parameters.push(Parameter::Compliance(2));
     parameters.push(Parameter::TimeOffset);
     println!(
-        "bundle: {} sights, {} tracks, {} postures, {} parameters",
+        "bundle: {} observations, {} tracks, {} postures, {} parameters",
         data.observation_count(),
         data.tracks.len(),
         data.postures.len(),

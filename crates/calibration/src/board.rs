@@ -82,17 +82,17 @@ fn lay(start: Isometry3, seen: &[(Isometry3, Point3, Pixel)], camera: &PinholeCa
     let mut pose = start;
     for _ in 0..30 {
         let mut distances: Vec<f64> =
-            seen.iter().filter_map(|sight| Some(residual(&pose, sight, camera)?.0.norm())).collect();
+            seen.iter().filter_map(|observation| Some(residual(&pose, observation, camera)?.0.norm())).collect();
         let loss = Loss::Cauchy(5.0);
         let sigma = (median(&mut distances) / 1.18).max(1e-9);
-        let (mut information, mut descent) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
-        for sight in seen {
-            let Some((difference, jacobian)) = residual(&pose, sight, camera) else { continue };
+        let (mut information, mut rhs) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
+        for observation in seen {
+            let Some((difference, jacobian)) = residual(&pose, observation, camera) else { continue };
             let weight = loss.weight(difference.norm() / sigma);
             information += jacobian.transpose() * jacobian * weight;
-            descent += jacobian.transpose() * difference * weight;
+            rhs += jacobian.transpose() * difference * weight;
         }
-        let Some(step) = information.cholesky().map(|factor| factor.solve(&descent)) else { break };
+        let Some(step) = information.cholesky().map(|factor| factor.solve(&rhs)) else { break };
         pose *= Isometry3::new(step.fixed_rows::<3>(0).into_owned(), step.fixed_rows::<3>(3).into_owned());
         pose.rotation.renormalize();
         if step.norm() < 1e-12 {
@@ -129,17 +129,17 @@ fn corner_observations(
     data: &Correspondences,
     postures: &[usize],
 ) -> Result<Vec<(Isometry3, Point3, Pixel)>, CalibrationError> {
-    let motion = crate::motion::Motion::new(&model.rig, &data.postures)?;
-    let mut sights = Vec::new();
+    let motion = crate::camera_kinematics::CameraKinematics::new(&model.rig, &data.postures)?;
+    let mut observations = Vec::new();
     for seen in data.boards.iter().filter(|seen| postures.contains(&seen.posture)) {
         let board = board_of(&model.rig, seen.posture)?;
         let base_from_camera = motion.pose(model, seen.posture, motion.error_of(errors, seen.posture))?;
         let point = |&(column, row, pixel): &(u32, u32, Pixel)| {
             (base_from_camera, point_in_board(board, column, row) * model.board_scale, pixel)
         };
-        sights.extend(seen.corners.iter().map(point));
+        observations.extend(seen.corners.iter().map(point));
     }
-    Ok(sights)
+    Ok(observations)
 }
 
 /// Where a model's cameras saw the board in some postures, joints taken at their word; `None` where none of them saw it.
@@ -158,8 +158,8 @@ pub(crate) fn base_from_board_with(
     data: &Correspondences,
     postures: &[usize],
 ) -> Result<Option<Isometry3>, CalibrationError> {
-    let motion = crate::motion::Motion::new(&model.rig, &data.postures)?;
-    let sights = corner_observations(model, errors, data, postures)?;
+    let motion = crate::camera_kinematics::CameraKinematics::new(&model.rig, &data.postures)?;
+    let observations = corner_observations(model, errors, data, postures)?;
     let camera = &model.rig.color;
     let mut best: Option<(f64, Isometry3)> = None;
     // The start is the posture whose board fits the others best.
@@ -168,14 +168,16 @@ pub(crate) fn base_from_board_with(
         let Some(in_camera) = color_from_board(camera, board, &seen.corners) else { continue };
         let base_from_camera = motion.pose(model, seen.posture, motion.error_of(errors, seen.posture))?;
         let start = base_from_camera * in_camera;
-        let mut distances: Vec<f64> =
-            sights.iter().map(|sight| residual(&start, sight, camera).map_or(f64::MAX, |(r, _)| r.norm())).collect();
+        let mut distances: Vec<f64> = observations
+            .iter()
+            .map(|observation| residual(&start, observation, camera).map_or(f64::MAX, |(r, _)| r.norm()))
+            .collect();
         let middle = median(&mut distances);
         if best.is_none_or(|(least, _)| middle < least) {
             best = Some((middle, start));
         }
     }
-    Ok(best.map(|(_, start)| lay(start, &sights, camera)))
+    Ok(best.map(|(_, start)| lay(start, &observations, camera)))
 }
 
 /// Distances of the board's corners in the postures `seen_in` to where they should be if it lies where the postures `laid_by` saw it. Every
@@ -188,10 +190,10 @@ pub fn board_residuals(
 ) -> Result<Option<ReprojectionStatistics>, CalibrationError> {
     data.check()?;
     let Some(pose) = base_from_board(model, data, laid_by)? else { return Ok(None) };
-    let sights = corner_observations(model, &[], data, seen_in)?;
-    let mut distances: Vec<f64> = sights
+    let observations = corner_observations(model, &[], data, seen_in)?;
+    let mut distances: Vec<f64> = observations
         .iter()
-        .filter_map(|sight| residual(&pose, sight, &model.rig.color))
+        .filter_map(|observation| residual(&pose, observation, &model.rig.color))
         .map(|(difference, _)| difference.norm())
         .collect();
     if distances.is_empty() {
@@ -201,7 +203,7 @@ pub fn board_residuals(
     Ok(Some(ReprojectionStatistics {
         rms_px: (squares / distances.len() as f64).sqrt(),
         median_px: median(&mut distances),
-        observations: sights.len(),
+        observations: observations.len(),
         inliers: distances.len(),
     }))
 }

@@ -1,8 +1,8 @@
-//! Match by match, how far a pixel stands from the epipolar line of its partner, as a vector: what a plot of systematic
-//! patterns needs and what the figures of [`epipolar_statistics`](crate::epipolar_statistics) are made of.
+//! Match by match, how far a pixel stands from the epipolar line of its neighbor, as a vector: what a plot of systematic
+//! patterns needs and what the metrics of [`epipolar_statistics`](crate::epipolar_statistics) are made of.
 
+use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::SMALLEST_BASELINE_M;
-use crate::motion::Motion;
 use crate::{CalibrationError, Correspondences, Model};
 use nalgebra::Vector2;
 use skclam_geometry::{EpipolarLine, FundamentalMatrix, Isometry3, Pixel};
@@ -44,7 +44,7 @@ pub fn epipolar_residuals(
 
 /// `base_from_color` at every posture under a model, corrections of joint values included.
 pub fn camera_poses(model: &Model, postures: &[Posture]) -> Result<Vec<Isometry3>, CalibrationError> {
-    Motion::new(&model.rig, postures)?.poses(model, &[])
+    CameraKinematics::new(&model.rig, postures)?.poses(model, &[])
 }
 
 /// The shortest way from a pixel to a line; zero to the line at infinity.

@@ -1,6 +1,6 @@
-//! The paper's error function: Eq. (7) over the distances of Eq. (8), and honest figures beside it.
+//! The paper's error function: Eq. (7) over the distances of Eq. (8), and honest metrics beside it.
 
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Correspondences, Model, Warning};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{FundamentalMatrix, Isometry3, Pixel};
@@ -100,10 +100,10 @@ impl UndistortedPairs {
     }
 }
 
-/// Eq. (7) and honest figures for all pair matches under a model. Pairs without a baseline are left out.
+/// Eq. (7) and honest metrics for all pair matches under a model. Pairs without a baseline are left out.
 pub fn epipolar_statistics(model: &Model, data: &Correspondences) -> Result<EpipolarStatistics, CalibrationError> {
     data.check()?;
-    let poses = Motion::new(&model.rig, &data.postures)?.poses(model, &[])?;
+    let poses = CameraKinematics::new(&model.rig, &data.postures)?.poses(model, &[])?;
     Ok(UndistortedPairs::new(&model.rig, data, &poses, &mut Vec::new()).statistics(&model.rig, &poses))
 }
 
@@ -179,7 +179,7 @@ mod tests {
             pairs: vec![crate::PairMatches { a: 0, b: 1, matches: vec![m] }],
             ..Default::default()
         };
-        let poses = Motion::new(&rig, &data.postures).unwrap().poses(&Model::new(rig.clone()), &[]).unwrap();
+        let poses = CameraKinematics::new(&rig, &data.postures).unwrap().poses(&Model::new(rig.clone()), &[]).unwrap();
         let mut warnings = Vec::new();
         let pairs = UndistortedPairs::new(&rig, &data, &poses, &mut warnings);
         assert_eq!(pairs.matches, 0);

@@ -60,7 +60,9 @@ impl Free {
                 "focal" => vec![Parameter::Intrinsic(Intrinsic::Fx), Parameter::Intrinsic(Intrinsic::Fy)],
                 "depth" => vec![Parameter::DepthScale, Parameter::DepthOffset],
                 "extrinsics" => MountComponent::ALL.map(Parameter::DepthExtrinsic).to_vec(),
-                "gears" => (0..joints).flat_map(|j| [Parameter::GearSin(j), Parameter::GearCos(j)]).collect(),
+                "gears" => {
+                    (0..joints).flat_map(|j| [Parameter::TransmissionSin(j), Parameter::TransmissionCos(j)]).collect()
+                }
                 "compliance" => (0..joints).map(Parameter::Compliance).collect(),
                 _ => vec![
                     word.parse::<Parameter>()
@@ -139,7 +141,9 @@ impl Free {
                 Parameter::Chain(id) if !arm(rig).contains(&id) => {
                     return Err(missing("no joint has such a parameter in its link form"));
                 }
-                Parameter::GearSin(joint) | Parameter::GearCos(joint) | Parameter::Compliance(joint)
+                Parameter::TransmissionSin(joint)
+                | Parameter::TransmissionCos(joint)
+                | Parameter::Compliance(joint)
                     if joint >= joints =>
                 {
                     return Err(missing("the arm has no such joint"));

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_rig::{Posture, PostureState, Rig};
 
-/// The same figure of the rigs that are compared.
+/// The same metric of the rigs that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Rigs<T> {
     /// The nominal rig.
@@ -33,12 +33,12 @@ pub struct Rigs<T> {
 }
 
 impl<T> Rigs<T> {
-    /// The same for another figure.
-    pub fn map<U>(self, figure: impl Fn(T) -> U) -> Rigs<U> {
+    /// The same for another metric.
+    pub fn map<U>(self, metric: impl Fn(T) -> U) -> Rigs<U> {
         Rigs {
-            nominal: figure(self.nominal),
-            mount_only: self.mount_only.map(&figure),
-            calibrated: figure(self.calibrated),
+            nominal: metric(self.nominal),
+            mount_only: self.mount_only.map(&metric),
+            calibrated: metric(self.calibrated),
         }
     }
 
@@ -47,10 +47,10 @@ impl<T> Rigs<T> {
     }
 }
 
-/// Residuals of the models on the same sights.
+/// Residuals of the models on the same observations.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Comparison {
-    /// Reprojection over the sights that fit one of the models; no observations where there are neither tracks nor board corners.
+    /// Reprojection over the observations that fit one of the models; no observations where there are neither tracks nor board corners.
     pub reprojection: Rigs<ReprojectionStatistics>,
     /// Epipolar distances of the pair matches with an end in the postures.
     pub epipolar: Rigs<EpipolarStatistics>,
@@ -356,7 +356,7 @@ pub struct Jackknife {
 }
 
 /// No group is taken for a larger part of the information.
-const MOST_OF_THE_INFORMATION: f64 = 0.7;
+const MAX_OF_THE_INFORMATION: f64 = 0.7;
 
 /// The delete-a-group jackknife over the folds' fits (groups that weigh more than their number: Busing, Meijer and van der Leeden, "Delete-m jackknife for unequal m", 1999), beside what the covariance of `whole` (the same estimate on all of the same data) claims. `None` without
 /// a covariance of the bundle adjustment, or with fewer than three folds.
@@ -379,14 +379,14 @@ pub fn jackknife(
     let information = |normal: &DMatrix<f64>| claimed.component_mul(normal).sum();
     let all = information(&inputs.likelihood.normal);
     let parts = folds.iter().filter_map(|fold| fold.normal.as_ref()).map(|normal| 1.0 - information(normal) / all);
-    let part = (parts.sum::<f64>() / count).clamp(1.0 / count, MOST_OF_THE_INFORMATION);
+    let part = (parts.sum::<f64>() / count).clamp(1.0 / count, MAX_OF_THE_INFORMATION);
     let mut scatter = DMatrix::zeros(parameters.len(), parameters.len());
     for fold in folds {
         let away = offsets(fold) - &mean;
         scatter += &away * away.transpose() * ((1.0 / part - 1.0) / count);
     }
     let aligned = AlignedVariance::new(nominal, &whole.model, &parameters, postures)?;
-    let freedom = aligned.degrees_of_freedom(&claimed) * (count - 1.0);
+    let dof = aligned.degrees_of_freedom(&claimed) * (count - 1.0);
     let (scattered, claimed) = (aligned.of(&scatter), aligned.of(&claimed));
     if !(scattered.is_finite() && claimed > 0.0) {
         return Ok(None);
@@ -402,9 +402,9 @@ pub fn jackknife(
         })
     };
     let mut factor = 1.0;
-    if scattered > claimed * chance_ratio(freedom) {
+    if scattered > claimed * chance_ratio(dof) {
         // The claim grows with the factor until the priors alone hold it.
-        let (mut low, mut high) = (0.0, MOST_FACTOR.ln());
+        let (mut low, mut high) = (0.0, MAX_FACTOR.ln());
         for _ in 0..30 {
             let middle: f64 = 0.5 * (low + high);
             if at(middle.exp()) < scattered { low = middle } else { high = middle }
@@ -415,25 +415,25 @@ pub fn jackknife(
 }
 
 /// Ratio of an estimated variance of so many degrees of freedom to the true one that chance alone exceeds once in a hundred times (Wilson and Hilferty 1931).
-fn chance_ratio(freedom: f64) -> f64 {
+fn chance_ratio(dof: f64) -> f64 {
     const QUANTILE: f64 = 2.326;
-    let spread = 2.0 / (9.0 * freedom.max(1.0));
+    let spread = 2.0 / (9.0 * dof.max(1.0));
     (1.0 - spread + QUANTILE * spread.sqrt()).powi(3)
 }
 
 /// Observations that are worth less than by this factor of their variance say nothing.
-const MOST_FACTOR: f64 = 1e4;
+const MAX_FACTOR: f64 = 1e4;
 
-/// A metric over all folds: root of the mean square over their sights, or the mean of their medians where there are pairs alone.
+/// A metric over all folds: root of the mean square over their observations, or the mean of their medians where there are pairs alone.
 fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64> {
     let weighted = folds.iter().map(|fold| {
         let inliers = fold.comparison.reprojection.as_ref().calibrated.inliers as f64;
         Some((rig(fold.metric_px())?, inliers))
     });
     let values = weighted.collect::<Option<Vec<(f64, f64)>>>()?;
-    let sights: f64 = values.iter().map(|(_, inliers)| inliers).sum();
-    Some(if sights > 0.0 {
-        (values.iter().map(|(px, inliers)| px * px * inliers).sum::<f64>() / sights).sqrt()
+    let observations: f64 = values.iter().map(|(_, inliers)| inliers).sum();
+    Some(if observations > 0.0 {
+        (values.iter().map(|(px, inliers)| px * px * inliers).sum::<f64>() / observations).sqrt()
     } else {
         values.iter().map(|(px, _)| px).sum::<f64>() / values.len().max(1) as f64
     })
@@ -443,8 +443,8 @@ fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64>
 mod tests {
     use super::*;
     use crate::synthetic::{
-        Sensing, diverse_postures, fresh_pairs, half_pixel, hp3j, joints, manufacture, normal, perturbed, record, room,
-        seeded,
+        Sensing, box_points, diverse_postures, fresh_pairs, half_pixel, hp3j, joints, manufacture, normal, perturbed,
+        record, seeded,
     };
     use crate::{BundleOptions, Free, MountComponent, Parameter, PostureErrorPolicy, calibrate_bundle};
     use rand::RngExt;
@@ -462,7 +462,7 @@ mod tests {
         let mut rng = seeded(21);
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         let postures = diverse_postures(&hp3j(), 24, &mut rng);
-        let points = room(3000, &mut rng);
+        let points = box_points(3000, &mut rng);
         let data = record(&truth, &postures, &points, half_pixel(), &mut rng);
         let groups = neighbouring_folds(24, 3);
         assert_eq!(groups.concat(), (0..24).collect::<Vec<_>>());
@@ -569,7 +569,7 @@ mod tests {
             };
             let stand: Vec<Posture> = (0..24).map(|at| stands(at, &mut rng)).collect();
             let sensing = Sensing { depth_relative: Some(0.003), keypoints: 80, ..half_pixel() };
-            let mut data = record(&truth, &stand, &room(900, &mut rng), sensing, &mut rng);
+            let mut data = record(&truth, &stand, &box_points(900, &mut rng), sensing, &mut rng);
             data.postures = told.iter().enumerate().map(|(at, values)| joints(at, values)).collect();
             let fit = |data: &Correspondences| calibrate_bundle(&hp3j(), data, &BundleOptions::default());
             let groups = held_out_groups(&data.postures, 6);
@@ -592,7 +592,7 @@ mod tests {
     }
 
     #[test]
-    fn folds_scatter_more_than_claimed_where_positions_share_errors() {
+    fn folds_scatter_more_than_claimed_where_positions_fraction_errors() {
         let [ratio, factor] = jackknifed(6e-4, 5e-5, 0..3);
         assert!(ratio > 2.0 && factor > 2.0, "{ratio} {factor}");
     }

@@ -30,18 +30,18 @@ pub struct Identifiability {
     /// O1 to O5 over the directions that are seen.
     pub observability: [f64; 5],
     /// Directions that are not seen.
-    pub unseen: Vec<UnseenDirection>,
+    pub unobservable: Vec<UnobservableDirection>,
     /// The direction that is seen worst, scaled components, greatest first.
     pub weakest: Vec<(Parameter, f64)>,
 }
 
 /// A combination of parameters that the data cannot tell.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct UnseenDirection {
+pub struct UnobservableDirection {
     /// Parameters and how far each moves (scaled by [`Parameter::scale`], the greatest 1): such a change alters no residual.
     pub combination: Vec<(Parameter, f64)>,
     /// Which kind.
-    pub cause: UnseenCause,
+    pub cause: UnobservableCause,
     /// The same in plain words.
     pub reason: String,
 }
@@ -50,17 +50,17 @@ pub struct UnseenDirection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum UnseenCause {
+pub enum UnobservableCause {
     /// It moves the base and the whole world with it.
-    BaseEnd,
+    BaseGauge,
     /// It is the mount's by another name.
-    HandEnd,
+    ToolGauge,
     /// Every length grows together.
     Scale,
     /// Neighbouring axes are parallel.
     ParallelAxes,
     /// A joint hardly moved.
-    StillJoint,
+    InsufficientExcitation,
     /// The postures do not tell the parameters apart.
     Postures,
 }
@@ -111,7 +111,7 @@ pub(crate) fn identify(
         singular_values,
         rank,
         observability,
-        unseen,
+        unobservable: unseen,
         weakest,
     }
 }
@@ -169,7 +169,7 @@ fn name_direction(
     model: &Model,
     postures: &[Posture],
     parameters: &[Parameter],
-) -> UnseenDirection {
+) -> UnobservableDirection {
     let combination = combination(direction, parameters);
     let names: Vec<String> = combination.iter().map(|(parameter, _)| parameter.to_string()).collect();
     let gauge = free::gauge(&model.rig);
@@ -179,28 +179,37 @@ fn name_direction(
     };
     let mounted = combination.iter().any(|(p, _)| matches!(p, Parameter::Mount(_)));
     let (cause, reason) = if let ([(parameter, _)], Some(_)) = (&combination[..], of_gauge(0)) {
-        (UnseenCause::BaseEnd, format!("{parameter} moves the base and the whole world with it: no image can tell"))
+        (
+            UnobservableCause::BaseGauge,
+            format!("{parameter} moves the base and the whole world with it: no image can tell"),
+        )
     } else if let (Some((parameter, _)), true) = (of_gauge(last), mounted) {
         let what = if parameter.unit() == Unit::Radian { "angle" } else { "length" };
-        (UnseenCause::HandEnd, format!("{parameter} and the mount ({}) are one {what}", others(&names, parameter)))
+        (
+            UnobservableCause::ToolGauge,
+            format!("{parameter} and the mount ({}) are one {what}", others(&names, parameter)),
+        )
     } else if is_scale(direction, model, parameters) {
         let held = if names.iter().any(|name| name == "depth_scale") {
             "the depth's own scale is free and no board or fixed length is there"
         } else {
             "no depth, no board, no fixed length"
         };
-        (UnseenCause::Scale, format!("the scale is not observable: {held}; every length may grow by the same factor"))
-    } else if let Some((a, b)) = parallel_pair(&combination, model) {
-        (UnseenCause::ParallelAxes, format!("{a} and {b} lie along parallel axes: they are one length"))
-    } else if let Some((joint, range)) = still_joint(&combination, postures) {
         (
-            UnseenCause::StillJoint,
+            UnobservableCause::Scale,
+            format!("the scale is not observable: {held}; every length may grow by the same factor"),
+        )
+    } else if let Some((a, b)) = parallel_pair(&combination, model) {
+        (UnobservableCause::ParallelAxes, format!("{a} and {b} lie along parallel axes: they are one length"))
+    } else if let Some((joint, range)) = insufficient_excitation(&combination, postures) {
+        (
+            UnobservableCause::InsufficientExcitation,
             format!("joint {} moved by only {range:.1} deg: {} cannot be told apart", joint + 1, names.join(", ")),
         )
     } else {
-        (UnseenCause::Postures, format!("the postures do not tell {} apart", names.join(", ")))
+        (UnobservableCause::Postures, format!("the postures do not tell {} apart", names.join(", ")))
     };
-    UnseenDirection { combination, cause, reason }
+    UnobservableDirection { combination, cause, reason }
 }
 
 fn others(names: &[String], parameter: &Parameter) -> String {
@@ -242,10 +251,12 @@ fn parallel_pair(combination: &[(Parameter, f64)], model: &Model) -> Option<(Par
 }
 
 /// The joint that moved least among those next to the combination, if it moved by less than 10 deg.
-fn still_joint(combination: &[(Parameter, f64)], postures: &[Posture]) -> Option<(usize, f64)> {
+fn insufficient_excitation(combination: &[(Parameter, f64)], postures: &[Posture]) -> Option<(usize, f64)> {
     let joint_of = |parameter: &Parameter| match *parameter {
         Parameter::Chain(id) => Some(id.joint),
-        Parameter::GearSin(joint) | Parameter::GearCos(joint) | Parameter::Compliance(joint) => Some(joint),
+        Parameter::TransmissionSin(joint) | Parameter::TransmissionCos(joint) | Parameter::Compliance(joint) => {
+            Some(joint)
+        }
         _ => None,
     };
     combination

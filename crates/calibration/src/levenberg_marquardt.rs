@@ -31,7 +31,7 @@ pub(crate) struct Proposal<S> {
 }
 
 /// Where the descent ended.
-pub(crate) struct Descent<S> {
+pub(crate) struct Minimization<S> {
     pub state: S,
     pub cost: f64,
     pub initial_cost: f64,
@@ -54,7 +54,7 @@ pub(crate) fn descend<S>(
     mut cost: f64,
     limits: DescentLimits,
     mut propose: impl FnMut(&S, f64) -> Result<Proposal<S>, CalibrationError>,
-) -> Result<Descent<S>, CalibrationError> {
+) -> Result<Minimization<S>, CalibrationError> {
     let mut damping = FIRST_DAMPING;
     let initial_cost = cost;
     let (mut iterations, mut evaluations) = (0, 1);
@@ -111,17 +111,17 @@ pub(crate) fn descend<S>(
             }
         }
     };
-    Ok(Descent { state, cost, initial_cost, iterations, evaluations, reason })
+    Ok(Minimization { state, cost, initial_cost, iterations, evaluations, reason })
 }
 
 /// Solves `(H + damping diag(H)) x = g` for a symmetric positive semidefinite `H`; unknowns that nothing sees stay.
 pub(crate) fn damped_solve(
     information: &DMatrix<f64>,
-    descent: &DVector<f64>,
+    rhs: &DVector<f64>,
     parameters: &[Parameter],
     damping: f64,
 ) -> Result<DVector<f64>, CalibrationError> {
-    let count = descent.len();
+    let count = rhs.len();
     // Unknowns behind the parameters (board, joint deviations) are radians and metres too.
     let unit = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale()).powi(2);
     let greatest = (0..count).map(|k| information[(k, k)] * unit(k)).fold(0.0, f64::max);
@@ -140,7 +140,7 @@ pub(crate) fn damped_solve(
             1.0 + damping
         }
     });
-    let right = descent.component_mul(&scale);
+    let right = rhs.component_mul(&scale);
     let mut extra = 1e-14;
     while extra < 1e3 {
         let mut attempt = scaled.clone();
@@ -164,8 +164,8 @@ pub(crate) fn scaled_norm(parameters: &[Parameter], step: &DVector<f64>) -> f64 
 }
 
 /// What the linear model promises: `g x - x H x / 2`.
-pub(crate) fn predicted_gain(information: &DMatrix<f64>, descent: &DVector<f64>, step: &DVector<f64>) -> f64 {
-    descent.dot(step) - 0.5 * step.dot(&(information * step))
+pub(crate) fn predicted_gain(information: &DMatrix<f64>, rhs: &DVector<f64>, step: &DVector<f64>) -> f64 {
+    rhs.dot(step) - 0.5 * step.dot(&(information * step))
 }
 
 #[cfg(test)]

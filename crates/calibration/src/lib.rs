@@ -6,6 +6,7 @@
 
 mod board;
 mod bundle;
+mod camera_kinematics;
 mod correspondences;
 mod epipolar_residuals;
 mod error;
@@ -15,7 +16,6 @@ mod held_out;
 mod identifiability;
 mod levenberg_marquardt;
 mod model;
-mod motion;
 mod mount_search;
 mod nelder_mead;
 mod outcome;
@@ -50,7 +50,7 @@ pub use held_out::{
     compare_on_recording, compare_trained, cross_validate, held_out_groups, jackknife, neighbouring_folds,
     without_postures,
 };
-pub use identifiability::{Identifiability, RANK_THRESHOLD, UnseenCause, UnseenDirection};
+pub use identifiability::{Identifiability, RANK_THRESHOLD, UnobservableCause, UnobservableDirection};
 pub use model::{DepthCorrection, Model};
 pub use mount_search::find_mount;
 pub use nelder_mead::{NelderMeadOptions, calibrate_nelder_mead};

@@ -86,8 +86,8 @@ impl Model {
             Parameter::DepthExtrinsic(component) => self.depth.extrinsics[extrinsic_index(component)],
             Parameter::BoardScale => self.board_scale,
             Parameter::TimeOffset => self.rig.joint_corrections.time_offset_s,
-            Parameter::GearSin(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_sin,
-            Parameter::GearCos(joint) => self.rig.joint_corrections.joints.get(joint)?.gear_cos,
+            Parameter::TransmissionSin(joint) => self.rig.joint_corrections.joints.get(joint)?.transmission_sin,
+            Parameter::TransmissionCos(joint) => self.rig.joint_corrections.joints.get(joint)?.transmission_cos,
             Parameter::Compliance(joint) => self.rig.joint_corrections.joints.get(joint)?.compliance,
         })
     }
@@ -119,8 +119,12 @@ impl Model {
                 Parameter::DepthExtrinsic(component) => model.depth.extrinsics[extrinsic_index(component)] += change,
                 Parameter::BoardScale => model.board_scale += change,
                 Parameter::TimeOffset => model.rig.joint_corrections.time_offset_s += change,
-                Parameter::GearSin(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_sin += change,
-                Parameter::GearCos(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.gear_cos += change,
+                Parameter::TransmissionSin(joint) => {
+                    of_joint(&mut model, joint).ok_or_else(missing)?.transmission_sin += change
+                }
+                Parameter::TransmissionCos(joint) => {
+                    of_joint(&mut model, joint).ok_or_else(missing)?.transmission_cos += change
+                }
                 Parameter::Compliance(joint) => of_joint(&mut model, joint).ok_or_else(missing)?.compliance += change,
             }
         }
@@ -169,14 +173,14 @@ mod tests {
 
     #[test]
     fn gears_that_were_estimated_go_into_the_rig_and_pose_its_cameras() {
-        use crate::synthetic::{diverse_postures, half_pixel, record, room, seeded};
+        use crate::synthetic::{box_points, diverse_postures, half_pixel, record, seeded};
         use crate::{BundleOptions, calibrate_bundle, camera_poses};
         let mut rng = seeded(6);
         let mut truth = hp3j();
-        let one = JointCorrection { gear_sin: 2e-3, gear_cos: -1e-3, compliance: 0.0 };
+        let one = JointCorrection { transmission_sin: 2e-3, transmission_cos: -1e-3, compliance: 0.0 };
         truth.joint_corrections.joints = vec![one; 6];
         let postures = diverse_postures(&truth, 40, &mut rng);
-        let data = record(&truth, &postures, &room(3000, &mut rng), half_pixel(), &mut rng);
+        let data = record(&truth, &postures, &box_points(3000, &mut rng), half_pixel(), &mut rng);
         let free = Free::parse("auto,gears", &hp3j()).unwrap();
         let found = calibrate_bundle(&hp3j(), &data, &BundleOptions { free, ..Default::default() }).unwrap();
         let rig = found.model.corrected_rig();
@@ -200,8 +204,8 @@ mod tests {
         let mut parameters = Free::All.candidates(&nominal, true, true).unwrap();
         parameters.extend([
             Parameter::TimeOffset,
-            Parameter::GearSin(1),
-            Parameter::GearCos(5),
+            Parameter::TransmissionSin(1),
+            Parameter::TransmissionCos(5),
             Parameter::Compliance(2),
         ]);
         let start = Model::new(nominal.clone());
@@ -214,6 +218,6 @@ mod tests {
         for (&parameter, value) in parameters.iter().zip(&values) {
             assert!((model.value(&nominal, parameter).unwrap() - value).abs() < 1e-12, "{parameter}");
         }
-        assert!(Model::with_values(&nominal, &[Parameter::GearSin(6)], &[0.0]).is_err());
+        assert!(Model::with_values(&nominal, &[Parameter::TransmissionSin(6)], &[0.0]).is_err());
     }
 }

@@ -5,8 +5,8 @@
 //! vertex: along the axes at first, then along other orthogonal directions, because a kink of the unsquared distances that stops one simplex lets
 //! another pass. The search ends when several restarts in a row gain less than `restart_tolerance` of the value.
 
+use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{UndistortedPairs, epipolar_statistics};
-use crate::motion::Motion;
 use crate::{
     Calibration, CalibrationError, Correspondences, Free, Model, Noise, Parameter, ParameterEstimate, StopReason,
     Termination, Unit,
@@ -82,7 +82,7 @@ struct Problem<'a> {
     nominal: &'a Model,
     parameters: &'a [Parameter],
     scales: &'a [f64],
-    motion: &'a Motion,
+    motion: &'a CameraKinematics,
     pairs: &'a UndistortedPairs,
     evaluations: &'a Cell<usize>,
 }
@@ -108,7 +108,7 @@ pub fn calibrate_nelder_mead(
 ) -> Result<Calibration, CalibrationError> {
     data.check()?;
     let start = Model::new(nominal.clone());
-    let motion = Motion::new(nominal, &data.postures)?;
+    let motion = CameraKinematics::new(nominal, &data.postures)?;
     let mut parameters = options.free.candidates(nominal, motion.has_joints(), false)?;
     if options.free.is_open() {
         parameters.retain(|parameter| parameter.moves_camera());

@@ -157,7 +157,7 @@ pub struct Noise {
     /// Sigma of a pixel coordinate (of a Sampson distance for pairwise estimators), times each observation's own sigma.
     pub pixel: f64,
     /// `s` of `sigma = s z^2` of the measured depth, 1/m; `None` without depth.
-    pub depth_per_m: Option<f64>,
+    pub depth_sigma_per_m2: Option<f64>,
     /// Sigma of the angular errors of single postures (revolute joints, or the rotation of a flange pose), rad; `None` where they were not estimated.
     pub posture_angular: Option<f64>,
     /// The same of the linear ones (prismatic joints, or the translation of a flange pose), m.

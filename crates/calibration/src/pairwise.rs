@@ -5,12 +5,12 @@
 //! A search on a sample of the matches finds the basin (Tukey's biweight, narrowing with the smallest third of the residuals, from several widths); then all matches are
 //! fitted, and the scale of the loss is that of the residuals that fit, round by round until it settles.
 
+use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
 use crate::identifiability::identify;
 use crate::levenberg_marquardt::{
-    Descent, DescentLimits, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
 };
-use crate::motion::Motion;
 use crate::pairwise_system::{Linearized, PairwiseSystem};
 use crate::prior::Priors;
 use crate::robust::{coarse_scale, median, noise_scale};
@@ -93,8 +93,8 @@ struct Round {
 /// A state with its cost and normal equations, priors included.
 struct Prepared {
     state: Model,
-    information: DMatrix<f64>,
-    descent: DVector<f64>,
+    normal: DMatrix<f64>,
+    rhs: DVector<f64>,
     cost: f64,
 }
 
@@ -124,7 +124,7 @@ impl Problem<'_> {
         round: &Round,
         max_iterations: usize,
         effort: &mut Effort,
-    ) -> Result<Descent<Model>, CalibrationError> {
+    ) -> Result<Minimization<Model>, CalibrationError> {
         let limits = DescentLimits {
             max_iterations,
             cost_tolerance: self.tolerance,
@@ -134,34 +134,34 @@ impl Problem<'_> {
         // One pass over the matches gives a state's cost and its normal equations: those of the state that was left, for another damping, and those of the
         // state that was tried.
         let prepare = |state: &Model| -> Result<Prepared, CalibrationError> {
-            let Linearized { mut information, mut descent, cost } = system.linearize(state, round.loss, round.sigma)?;
-            self.priors.add_to(self.nominal, state, self.parameters, &mut information, &mut descent);
+            let Linearized { mut normal, mut rhs, cost } = system.linearize(state, round.loss, round.sigma)?;
+            self.priors.add_to(self.nominal, state, self.parameters, &mut normal, &mut rhs);
             let cost = cost + self.priors.cost(self.nominal, state, self.parameters);
-            Ok(Prepared { state: state.clone(), information, descent, cost })
+            Ok(Prepared { state: state.clone(), normal, rhs, cost })
         };
         let mut left = prepare(model)?;
         let mut tried: Option<Prepared> = None;
         let cost = left.cost;
-        let descent = descend(model.clone(), cost, limits, |state, damping| {
+        let minimization = descend(model.clone(), cost, limits, |state, damping| {
             if let Some(tried) = tried.take().filter(|tried| tried.state == *state) {
                 left = tried;
             }
-            let step = damped_solve(&left.information, &left.descent, self.parameters, damping)?;
+            let step = damped_solve(&left.normal, &left.rhs, self.parameters, damping)?;
             let moved = prepare(&state.stepped(self.parameters, step.as_slice())?)?;
             let proposal = Proposal {
                 cost: moved.cost,
                 state: moved.state.clone(),
                 step: scaled_norm(self.parameters, &step),
                 sigmas: f64::INFINITY,
-                predicted: predicted_gain(&left.information, &left.descent, &step),
+                predicted: predicted_gain(&left.normal, &left.rhs, &step),
             };
             tried = Some(moved);
             Ok(proposal)
         })?;
-        effort.iterations += descent.iterations;
-        effort.evaluations += descent.evaluations;
+        effort.iterations += minimization.iterations;
+        effort.evaluations += minimization.evaluations;
         effort.rounds += 1;
-        Ok(descent)
+        Ok(minimization)
     }
 
     /// Most of the way on a sample of the matches, where there are many: only the last steps need all of them.
@@ -169,7 +169,7 @@ impl Problem<'_> {
         &self,
         start: &Model,
         pairs: &[PairMatches],
-        motion: &Motion,
+        motion: &CameraKinematics,
         loss: Loss,
         effort: &mut Effort,
     ) -> Result<Model, CalibrationError> {
@@ -177,10 +177,10 @@ impl Problem<'_> {
         let system = PairwiseSystem::new(&sample, motion, self.parameters);
         let round = Round { loss, sigma: noise_scale(&system.residuals(start)?).max(EXACT_PX) };
         let mut ahead = Effort::default();
-        let descent = self.descend(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
+        let minimization = self.descend(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
         effort.iterations += ahead.iterations;
         effort.evaluations += ahead.evaluations;
-        Ok(descent.state)
+        Ok(minimization.state)
     }
 
     /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model whose smallest third of
@@ -189,7 +189,7 @@ impl Problem<'_> {
         &self,
         start: &Model,
         pairs: &[PairMatches],
-        motion: &Motion,
+        motion: &CameraKinematics,
         effort: &mut Effort,
     ) -> Result<(Model, f64), CalibrationError> {
         let sample = sample(pairs);
@@ -243,7 +243,7 @@ pub fn calibrate_pairwise_from(
     options: &PairwiseOptions,
 ) -> Result<Calibration, CalibrationError> {
     data.check()?;
-    let motion = Motion::new(nominal, &data.postures)?;
+    let motion = CameraKinematics::new(nominal, &data.postures)?;
     let parameters = free_parameters(&options.free, nominal, &motion)?;
     let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let mut warnings = Vec::new();
@@ -284,16 +284,16 @@ pub fn calibrate_pairwise_from(
         }
         Search::Off => (start.clone(), noise_scale(&system.residuals(start)?)),
     };
-    let freedom = degrees_of_freedom_factor(matches, parameters.len());
-    let mut round = Round { loss: options.loss, sigma: (sigma * freedom).max(EXACT_PX) };
+    let dof = degrees_of_freedom_factor(matches, parameters.len());
+    let mut round = Round { loss: options.loss, sigma: (sigma * dof).max(EXACT_PX) };
     let initial_cost = problem.cost(&system, start, &round)?;
     let (residuals, reason, final_cost) = loop {
-        let descent = problem.descend(&system, &model, &round, options.max_iterations, &mut effort)?;
-        model = descent.state;
+        let minimization = problem.descend(&system, &model, &round, options.max_iterations, &mut effort)?;
+        model = minimization.state;
         let residuals = system.residuals(&model)?;
-        let next = (noise_scale(&residuals) * freedom).max(EXACT_PX);
+        let next = (noise_scale(&residuals) * dof).max(EXACT_PX);
         if (next / round.sigma - 1.0).abs() < SETTLED || effort.rounds >= options.max_rounds {
-            break (residuals, descent.reason, descent.cost);
+            break (residuals, minimization.reason, minimization.cost);
         }
         round.sigma = next;
     };
@@ -301,12 +301,12 @@ pub fn calibrate_pairwise_from(
         warnings.push(Warning::NotConverged { reason: reason.to_string() });
     }
 
-    let information = system.linearize(&model, round.loss, round.sigma)?.information;
+    let normal = system.linearize(&model, round.loss, round.sigma)?.normal;
     let factor = efficiency_factor(&residuals, round.loss, round.sigma);
-    let mut posterior = &information / factor;
+    let mut posterior = &normal / factor;
     priors.add_to(nominal, &model, &parameters, &mut posterior, &mut DVector::zeros(parameters.len()));
     let covariance = uncertainty::covariance(&posterior, &parameters);
-    let identifiability = identify(&model, &data.postures, &parameters, &information);
+    let identifiability = identify(&model, &data.postures, &parameters, &normal);
     let estimates = uncertainty::estimates(nominal, &model, &parameters, &priors.sigmas, &covariance, &identifiability);
 
     let gate = 4.0 * round.sigma;
@@ -365,7 +365,7 @@ pub fn calibrate_pairwise_from(
 }
 
 /// The selection without what Sampson distances cannot hear of: depth.
-fn free_parameters(free: &Free, nominal: &Rig, motion: &Motion) -> Result<Vec<Parameter>, CalibrationError> {
+fn free_parameters(free: &Free, nominal: &Rig, motion: &CameraKinematics) -> Result<Vec<Parameter>, CalibrationError> {
     let mut parameters = free.candidates(nominal, motion.has_joints(), false)?;
     let blind = |p: &Parameter| !p.moves_camera() && !matches!(p, Parameter::Intrinsic(_));
     if free.is_open() {
@@ -406,7 +406,7 @@ mod tests {
         Errors, Sensing, camera_error, diverse_postures, fresh_pairs, half_pixel, hp3j, manufacture, neighbours,
         paper_postures, perturbed, seeded,
     };
-    use crate::{MountComponent, UnseenCause};
+    use crate::{MountComponent, UnobservableCause};
 
     fn one_degree() -> Errors {
         Errors { angle: 1f64.to_radians(), length: 0.0, mount_angle: 0.0, mount_length: 0.0, fixed_size: true }
@@ -469,11 +469,11 @@ mod tests {
             "30 less 6 of the gauge and the scale: {:?}",
             identifiability.singular_values
         );
-        let causes = |cause| identifiability.unseen.iter().filter(|direction| direction.cause == cause).count();
-        let told: Vec<_> = identifiability.unseen.iter().map(|direction| &direction.reason).collect();
-        assert_eq!(causes(UnseenCause::BaseEnd), 4, "{told:#?}");
-        assert_eq!(causes(UnseenCause::HandEnd), 2, "{told:#?}");
-        assert_eq!(causes(UnseenCause::Scale), 1, "{told:#?}");
+        let causes = |cause| identifiability.unobservable.iter().filter(|direction| direction.cause == cause).count();
+        let told: Vec<_> = identifiability.unobservable.iter().map(|direction| &direction.reason).collect();
+        assert_eq!(causes(UnobservableCause::BaseGauge), 4, "{told:#?}");
+        assert_eq!(causes(UnobservableCause::ToolGauge), 2, "{told:#?}");
+        assert_eq!(causes(UnobservableCause::Scale), 1, "{told:#?}");
         let theta_6 = result.parameters.iter().find(|e| e.parameter.to_string() == "theta_offset_6").unwrap();
         assert_eq!(theta_6.sigma, None);
         assert!(theta_6.note.as_ref().unwrap().contains("mount"), "{theta_6:?}");

@@ -54,9 +54,9 @@ pub enum Parameter {
     /// Seconds by which the joints must be taken later than the posture's timestamp says.
     TimeOffset,
     /// Gear error of a joint: its true value is greater by this times the sine of its encoder value. Radians.
-    GearSin(usize),
+    TransmissionSin(usize),
     /// The same with the cosine.
-    GearCos(usize),
+    TransmissionCos(usize),
     /// Compliance of a joint: radians it gives way a metre of horizontal lever arm between its axis and the flange.
     Compliance(usize),
 }
@@ -141,7 +141,7 @@ impl Parameter {
             Parameter::Intrinsic(Intrinsic::Fx | Intrinsic::Fy | Intrinsic::Cx | Intrinsic::Cy) => Unit::Pixel,
             Parameter::Intrinsic(_) | Parameter::DepthScale | Parameter::BoardScale => Unit::One,
             Parameter::TimeOffset => Unit::Second,
-            Parameter::GearSin(_) | Parameter::GearCos(_) => Unit::Radian,
+            Parameter::TransmissionSin(_) | Parameter::TransmissionCos(_) => Unit::Radian,
             Parameter::Compliance(_) => Unit::RadianPerMetre,
         }
     }
@@ -150,7 +150,7 @@ impl Parameter {
     /// singular values into comparable numbers.
     pub fn scale(self) -> f64 {
         match self {
-            Parameter::GearSin(_) | Parameter::GearCos(_) | Parameter::Compliance(_) => 1e-3,
+            Parameter::TransmissionSin(_) | Parameter::TransmissionCos(_) | Parameter::Compliance(_) => 1e-3,
             _ => match self.unit() {
                 Unit::Pixel => 10.0,
                 _ => 1e-2,
@@ -164,8 +164,8 @@ impl Parameter {
             self,
             Parameter::Chain(_)
                 | Parameter::TimeOffset
-                | Parameter::GearSin(_)
-                | Parameter::GearCos(_)
+                | Parameter::TransmissionSin(_)
+                | Parameter::TransmissionCos(_)
                 | Parameter::Compliance(_)
         )
     }
@@ -193,8 +193,8 @@ impl fmt::Display for Parameter {
             Parameter::DepthExtrinsic(component) => f.write_str(EXTRINSIC_NAMES[component as usize]),
             Parameter::BoardScale => f.write_str("board_scale"),
             Parameter::TimeOffset => f.write_str("time_offset"),
-            Parameter::GearSin(joint) => write!(f, "gear_sin_{}", joint + 1),
-            Parameter::GearCos(joint) => write!(f, "gear_cos_{}", joint + 1),
+            Parameter::TransmissionSin(joint) => write!(f, "transmission_sin_{}", joint + 1),
+            Parameter::TransmissionCos(joint) => write!(f, "transmission_cos_{}", joint + 1),
             Parameter::Compliance(joint) => write!(f, "compliance_{}", joint + 1),
         }
     }
@@ -203,7 +203,7 @@ impl fmt::Display for Parameter {
 /// The text names no parameter.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{0}\" is no parameter; expected alpha_K, a_K, beta_K, theta_offset_K, d_K (K a joint, from 1), mount_rx|ry|rz|x|y|z, fx, fy, cx, cy, k1, k2, p1, p2, k3, depth_scale, depth_offset, depth_rx|ry|rz|x|y|z, board_scale, time_offset, gear_sin_K, gear_cos_K or compliance_K"
+    "\"{0}\" is no parameter; expected alpha_K, a_K, beta_K, theta_offset_K, d_K (K a joint, from 1), mount_rx|ry|rz|x|y|z, fx, fy, cx, cy, k1, k2, p1, p2, k3, depth_scale, depth_offset, depth_rx|ry|rz|x|y|z, board_scale, time_offset, transmission_sin_K, transmission_cos_K or compliance_K"
 )]
 pub struct ParseParameterError(pub String);
 
@@ -240,8 +240,8 @@ impl FromStr for Parameter {
             "beta" => chain(ParameterKind::Beta),
             "theta_offset" => chain(ParameterKind::ThetaOffset),
             "d" => chain(ParameterKind::D),
-            "gear_sin" => Parameter::GearSin(joint),
-            "gear_cos" => Parameter::GearCos(joint),
+            "transmission_sin" => Parameter::TransmissionSin(joint),
+            "transmission_cos" => Parameter::TransmissionCos(joint),
             "compliance" => Parameter::Compliance(joint),
             _ => return Err(error()),
         })
@@ -276,7 +276,7 @@ mod tests {
             .chain(Intrinsic::ALL.map(Parameter::Intrinsic))
             .chain(MountComponent::ALL.map(Parameter::DepthExtrinsic))
             .chain([Parameter::DepthScale, Parameter::DepthOffset, Parameter::BoardScale, Parameter::TimeOffset])
-            .chain([Parameter::GearSin(2), Parameter::GearCos(0), Parameter::Compliance(5)]);
+            .chain([Parameter::TransmissionSin(2), Parameter::TransmissionCos(0), Parameter::Compliance(5)]);
         for parameter in all {
             assert_eq!(parameter.to_string().parse::<Parameter>().unwrap(), parameter);
         }

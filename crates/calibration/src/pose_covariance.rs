@@ -3,7 +3,7 @@
 //! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a pose in the base
 //! frame that the calibrated arm defines. What a joint stands off its encoder is not in them: it differs from posture to posture.
 
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{Calibration, CalibrationError, Model, Parameter};
 use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3, Vector6};
 use skclam_geometry::Isometry3;
@@ -51,7 +51,7 @@ pub(crate) fn spread_to_poses(
     covariance: &DMatrix<f64>,
     postures: &[Posture],
 ) -> Result<Vec<PoseCovariance>, CalibrationError> {
-    let motion = Motion::new(nominal, postures)?;
+    let motion = CameraKinematics::new(nominal, postures)?;
     let mut flange_model: Model = model.clone();
     flange_model.rig.flange_from_color = Isometry3::identity();
     let spread = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
@@ -91,7 +91,7 @@ impl AlignedCameras {
         parameters: &[Parameter],
         postures: &[Posture],
     ) -> Result<Self, CalibrationError> {
-        let motion = Motion::new(nominal, postures)?;
+        let motion = CameraKinematics::new(nominal, postures)?;
         let count = postures.len();
         let mut jacobian = DMatrix::zeros(3 * count, parameters.len());
         let mut rigid = DMatrix::zeros(3 * count, 6);
@@ -172,7 +172,7 @@ pub fn aligned_positions(
 ) -> Result<AlignedPositions, CalibrationError> {
     let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
     let aligned = AlignedCameras::new(nominal, &calibration.model, &parameters, postures)?;
-    let motion = Motion::new(nominal, postures)?;
+    let motion = CameraKinematics::new(nominal, postures)?;
     let before = motion.poses(&Model::new(nominal.clone()), &[])?;
     let after = motion.poses(&calibration.model, &[])?;
     let moved = before.iter().zip(&after).flat_map(|(before, after)| {
@@ -192,7 +192,9 @@ pub fn aligned_positions(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic::{diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record, room, seeded};
+    use crate::synthetic::{
+        box_points, diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record, seeded,
+    };
     use crate::{BundleOptions, Free, PostureErrorPolicy, calibrate_bundle};
     use nalgebra::DVector;
 
@@ -201,7 +203,7 @@ mod tests {
         let mut rng = seeded(31);
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         let postures = diverse_postures(&hp3j(), 20, &mut rng);
-        let data = record(&truth, &postures, &room(500, &mut rng), half_pixel(), &mut rng);
+        let data = record(&truth, &postures, &box_points(500, &mut rng), half_pixel(), &mut rng);
         let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let calibration = calibrate_bundle(&hp3j(), &data, &options).unwrap();
         let told = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
@@ -242,7 +244,7 @@ mod tests {
         let mut rng = seeded(32);
         let nominal = hp3j();
         let postures = diverse_postures(&nominal, 20, &mut rng);
-        let data = record(&nominal, &postures, &room(400, &mut rng), half_pixel(), &mut rng);
+        let data = record(&nominal, &postures, &box_points(400, &mut rng), half_pixel(), &mut rng);
         // All of the arm; its base end is a rigid motion.
         let options = BundleOptions {
             free: Free::parse("alpha_1,a_1,theta_offset_1,d_1,theta_offset_3", &nominal).unwrap(),

@@ -96,7 +96,7 @@ pub fn default_sigma(rig: &Rig, parameter: Parameter) -> f64 {
         (Parameter::DepthExtrinsic(_), _) => 1e-3,
         (Parameter::BoardScale, _) => 1e-3,
         (Parameter::TimeOffset, _) => 0.05,
-        (Parameter::GearSin(_) | Parameter::GearCos(_), _) => 0.03f64.to_radians(),
+        (Parameter::TransmissionSin(_) | Parameter::TransmissionCos(_), _) => 0.03f64.to_radians(),
         (Parameter::Compliance(_), _) => 0.1f64.to_radians(),
     }
 }
@@ -121,7 +121,7 @@ pub fn stated_sigma(rig: &Rig, parameter: Parameter) -> Option<f64> {
         (Parameter::DepthExtrinsic(_), _) => mm(prior.color_from_depth_translation_mm),
         (Parameter::BoardScale, _) => prior.board_scale_relative,
         (Parameter::TimeOffset, _) => prior.time_offset_s,
-        (Parameter::GearSin(_) | Parameter::GearCos(_) | Parameter::Compliance(_), _) => None,
+        (Parameter::TransmissionSin(_) | Parameter::TransmissionCos(_) | Parameter::Compliance(_), _) => None,
     }
 }
 
@@ -199,7 +199,7 @@ impl Priors {
         model: &Model,
         parameters: &[Parameter],
         information: &mut DMatrix<f64>,
-        descent: &mut DVector<f64>,
+        rhs: &mut DVector<f64>,
     ) {
         let offsets = Self::offsets(nominal, model, parameters);
         let turn = (model.rig.flange_from_color.rotation * nominal.flange_from_color.rotation.inverse()).scaled_axis();
@@ -213,14 +213,14 @@ impl Priors {
             let weight = 1.0 / (sigma * sigma);
             let Some(component) = rotation(parameter) else {
                 information[(row, row)] += weight;
-                descent[row] -= weight * offsets[row];
+                rhs[row] -= weight * offsets[row];
                 continue;
             };
             // One residual, log(R R_nominal^-1)[axis], which every free mount rotation moves.
             let derivative = |other: MountComponent| left[(component.axis(), other.axis())];
             for (i, p) in parameters.iter().enumerate() {
                 let Some(at_i) = rotation(*p) else { continue };
-                descent[i] -= weight * derivative(at_i) * turn[component.axis()];
+                rhs[i] -= weight * derivative(at_i) * turn[component.axis()];
                 for (j, q) in parameters.iter().enumerate() {
                     if let Some(at_j) = rotation(*q) {
                         information[(i, j)] += weight * derivative(at_i) * derivative(at_j);
@@ -257,14 +257,14 @@ mod tests {
         let parameters = Free::All.candidates(&nominal, true, true).unwrap();
         let priors = Priors::new(&nominal, &Free::All, PriorPolicy::Auto, &parameters);
         let mut information = DMatrix::zeros(parameters.len(), parameters.len());
-        let mut descent = DVector::zeros(parameters.len());
-        priors.add_to(&nominal, &model, &parameters, &mut information, &mut descent);
+        let mut rhs = DVector::zeros(parameters.len());
+        priors.add_to(&nominal, &model, &parameters, &mut information, &mut rhs);
         for (k, &parameter) in parameters.iter().enumerate() {
             let step = 1e-6 * priors.sigmas[k].unwrap();
             let at = |change| priors.cost(&nominal, &model.stepped(&[parameter], &[change]).unwrap(), &parameters);
             let slope = (at(step) - at(-step)) / (2.0 * step);
             let scale = 1.0 / priors.sigmas[k].unwrap();
-            assert!((slope + descent[k]).abs() < 1e-4 * scale.max(slope.abs()), "{parameter}: {slope} {}", descent[k]);
+            assert!((slope + rhs[k]).abs() < 1e-4 * scale.max(slope.abs()), "{parameter}: {slope} {}", rhs[k]);
         }
         assert!((&information - information.transpose()).amax() < 1e-9 * information.amax());
     }

@@ -1,12 +1,12 @@
-//! Sight by sight, where a scene point should appear and where it was seen: what a plot of systematic patterns over the image needs.
+//! Observation by observation, where a scene point should appear and where it was seen: what a plot of systematic patterns over the image needs.
 
 use crate::bundle::{Observations, compare};
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Correspondences, Model};
 use nalgebra::Vector2;
 use skclam_geometry::Pixel;
 
-/// One sight under two models.
+/// One observation under two models.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReprojectionResidual {
     /// Position of the posture in [`Correspondences::postures`].
@@ -19,8 +19,8 @@ pub struct ReprojectionResidual {
     pub calibrated: Vector2<f64>,
 }
 
-/// Residuals of all sights of tracks and board corners, in their order. Scene points and the board's pose are fitted to each model's cameras, nothing else
-/// moves; sights whose point cannot be triangulated, or lies behind a camera, are left out. Empty where there are pairs alone.
+/// Residuals of all observations of tracks and board corners, in their order. Scene points and the board's pose are fitted to each model's cameras, nothing else
+/// moves; observations whose point cannot be triangulated, or lies behind a camera, are left out. Empty where there are pairs alone.
 ///
 /// `sigma_px`: the noise of a pixel coordinate, which sets how the loss hears outliers.
 ///
@@ -33,21 +33,21 @@ pub fn reprojection_residuals(
     sigma_px: f64,
 ) -> Result<Vec<ReprojectionResidual>, CalibrationError> {
     data.check()?;
-    let motion = Motion::new(&nominal.rig, &data.postures)?;
+    let motion = CameraKinematics::new(&nominal.rig, &data.postures)?;
     let observations = Observations::new(&nominal.rig, data, &|_| true, &mut Vec::new())?;
-    if observations.sightings.is_empty() && observations.corners.is_empty() {
+    if observations.observations.is_empty() && observations.corners.is_empty() {
         return Ok(Vec::new());
     }
     let (before, after) = compare(nominal, calibrated, &motion, &observations, sigma_px)?;
     let seen = &after.observations;
-    let pixels = seen.sightings.iter().map(|sighting| sighting.pixel);
-    let pixels = pixels.chain(seen.corners.iter().map(|corner| corner.sighting.pixel));
+    let pixels = seen.observations.iter().map(|observation| observation.pixel);
+    let pixels = pixels.chain(seen.corners.iter().map(|corner| corner.observation.pixel));
     let residuals =
         pixels.zip(before.sizes.iter().zip(&after.sizes)).map(|(pixel, (before, after))| ReprojectionResidual {
             posture: before.posture as usize,
             pixel,
-            nominal: before.way_px,
-            calibrated: after.way_px,
+            nominal: before.residual_px,
+            calibrated: after.residual_px,
         });
     let finite = |way: &Vector2<f64>| way.x.is_finite() && way.y.is_finite();
     Ok(residuals.filter(|residual| finite(&residual.nominal) && finite(&residual.calibrated)).collect())
@@ -56,14 +56,14 @@ pub fn reprojection_residuals(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic::{diverse_postures, half_pixel, hp3j, record, room, seeded};
+    use crate::synthetic::{box_points, diverse_postures, half_pixel, hp3j, record, seeded};
 
     #[test]
     fn a_camera_whose_center_is_taken_wrong_shows_it_as_one_way_everywhere() {
         let truth = hp3j();
         let mut rng = seeded(5);
         let postures = diverse_postures(&truth, 16, &mut rng);
-        let points = room(1500, &mut rng);
+        let points = box_points(1500, &mut rng);
         let data = record(&truth, &postures, &points, half_pixel(), &mut rng);
         let mut wrong = truth.clone();
         wrong.color.cx -= 3.0;

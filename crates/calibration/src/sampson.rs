@@ -10,24 +10,24 @@ use skclam_geometry::{INTRINSICS, Isometry3, PinholeCamera, Pixel, Point3, essen
 
 /// One end of a match: where it looks, and how its pixel turns that.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Sight {
+pub(crate) struct Bearing {
     /// `(x/z, y/z, 1)`.
     direction: Vector3<f64>,
     /// d(x/z, y/z) / d(pixel) times the pixel's sigma.
     by_pixel: Matrix2<f64>,
 }
 
-impl Sight {
+impl Bearing {
     pub(crate) fn new(camera: &PinholeCamera, pixel: &Pixel, sigma_px: f64) -> Option<Self> {
         let direction = camera.unproject(pixel);
         let projection = camera.project_with_jacobian(&Point3::from(direction))?;
         let by_pixel = projection.by_point.fixed_view::<2, 2>(0, 0).into_owned().try_inverse()? * sigma_px;
-        Some(Sight { direction, by_pixel })
+        Some(Bearing { direction, by_pixel })
     }
 
     /// What says nothing: every distance to it is 0.
     pub(crate) fn blind() -> Self {
-        Sight { direction: Vector3::zeros(), by_pixel: Matrix2::zeros() }
+        Bearing { direction: Vector3::zeros(), by_pixel: Matrix2::zeros() }
     }
 
     /// d(x/z, y/z) / d(intrinsics) for a fixed pixel.
@@ -62,7 +62,7 @@ impl RelativePose {
     }
 
     /// Signed, in sigmas; 0 where both lines vanish.
-    pub(crate) fn distance(&self, a: &Sight, b: &Sight) -> f64 {
+    pub(crate) fn distance(&self, a: &Bearing, b: &Bearing) -> f64 {
         let line_a = self.essential * b.direction;
         let line_b = self.essential.tr_mul(&a.direction);
         let gradient = a.by_pixel.tr_mul(&line_a.xy()).norm_squared() + b.by_pixel.tr_mul(&line_b.xy()).norm_squared();
@@ -70,7 +70,7 @@ impl RelativePose {
     }
 
     /// As [`distance`](Self::distance), with its derivative.
-    pub(crate) fn differentiate(&self, a: &Sight, b: &Sight) -> Distance {
+    pub(crate) fn differentiate(&self, a: &Bearing, b: &Bearing) -> Distance {
         let rotated = self.rotation * b.direction;
         let line_a = self.essential * b.direction;
         let line_b = self.essential.tr_mul(&a.direction);
@@ -95,7 +95,12 @@ impl RelativePose {
     }
 
     /// Derivative by the intrinsics, the change of `s` left out: it is proportional to the distance itself.
-    pub(crate) fn by_intrinsics(&self, camera: &PinholeCamera, a: &Sight, b: &Sight) -> SMatrix<f64, INTRINSICS, 1> {
+    pub(crate) fn by_intrinsics(
+        &self,
+        camera: &PinholeCamera,
+        a: &Bearing,
+        b: &Bearing,
+    ) -> SMatrix<f64, INTRINSICS, 1> {
         let line_a = self.essential * b.direction;
         let line_b = self.essential.tr_mul(&a.direction);
         let (in_a, in_b) = (a.by_pixel.tr_mul(&line_a.xy()), b.by_pixel.tr_mul(&line_b.xy()));
@@ -112,7 +117,7 @@ impl RelativePose {
 pub(crate) fn adjoint(pose: &Isometry3, twist: &Vector6<f64>) -> Vector6<f64> {
     let (v, omega) = (Vector3::new(twist[0], twist[1], twist[2]), Vector3::new(twist[3], twist[4], twist[5]));
     let turned = pose.rotation * omega;
-    crate::motion::stack(&(pose.rotation * v + pose.translation.vector.cross(&turned)), &turned)
+    crate::camera_kinematics::stack(&(pose.rotation * v + pose.translation.vector.cross(&turned)), &turned)
 }
 
 #[cfg(test)]
@@ -138,8 +143,8 @@ mod tests {
             prop_assume!(translation.norm() > 0.05);
             let camera = camera();
             let pose = Isometry3::new(translation, Vector3::new(w[0], w[1], w[2]));
-            let a = Sight::new(&camera, &Pixel::new(pixels[0], pixels[1]), 0.7).unwrap();
-            let b = Sight::new(&camera, &Pixel::new(pixels[2], pixels[3]), 0.7).unwrap();
+            let a = Bearing::new(&camera, &Pixel::new(pixels[0], pixels[1]), 0.7).unwrap();
+            let b = Bearing::new(&camera, &Pixel::new(pixels[2], pixels[3]), 0.7).unwrap();
             let analytic = RelativePose::new(&pose).differentiate(&a, &b);
             prop_assert!((analytic.value - RelativePose::new(&pose).distance(&a, &b)).abs() < 1e-9 * (1.0 + analytic.value.abs()));
             let step = 1e-6;
@@ -166,7 +171,7 @@ mod tests {
             let in_b = camera.project(&point).unwrap();
             let in_a = camera.project(&(pose * point)).unwrap();
             let relative = RelativePose::new(&pose);
-            let of = |camera: &PinholeCamera| (Sight::new(camera, &in_a, 1.0).unwrap(), Sight::new(camera, &in_b, 1.0).unwrap());
+            let of = |camera: &PinholeCamera| (Bearing::new(camera, &in_a, 1.0).unwrap(), Bearing::new(camera, &in_b, 1.0).unwrap());
             let (a, b) = of(&camera);
             prop_assert!(relative.distance(&a, &b).abs() < 1e-7);
             let analytic = relative.by_intrinsics(&camera, &a, &b);
@@ -189,7 +194,7 @@ mod tests {
         let camera = PinholeCamera::from_hfov(1920, 1080, 1.2);
         let pose = Isometry3::new(Vector3::new(0.2, 0.05, -0.1), Vector3::new(0.1, -0.2, 0.3));
         let (in_a, in_b) = (Pixel::new(300.0, 400.0), Pixel::new(350.0, 380.0));
-        let of = |pixel: &Pixel| Sight::new(&camera, pixel, 1.0).unwrap();
+        let of = |pixel: &Pixel| Bearing::new(&camera, pixel, 1.0).unwrap();
         let expected = FundamentalMatrix::from_pose(&camera, &camera, &pose).sampson_distance(&in_a, &in_b);
         assert!((RelativePose::new(&pose).distance(&of(&in_a), &of(&in_b)) - expected).abs() < 1e-9);
     }

@@ -45,10 +45,9 @@ pub(crate) fn estimates(
     let start = Model::new(nominal.clone());
     let tell = |(k, &parameter): (usize, &Parameter)| {
         let sigma = covariance[(k, k)].max(0.0).sqrt();
-        let unseen = identifiability
-            .unseen
-            .iter()
-            .find(|direction| direction.combination.iter().any(|(p, share)| *p == parameter && share.abs() > TIED));
+        let unseen = identifiability.unobservable.iter().find(|direction| {
+            direction.combination.iter().any(|(p, fraction)| *p == parameter && fraction.abs() > TIED)
+        });
         let note = match (priors[k], unseen) {
             (None, Some(direction)) => Some(format!("not observable: {}", direction.reason)),
             (Some(prior), direction) if sigma > SILENT * prior => Some(match direction {

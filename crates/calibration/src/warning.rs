@@ -32,7 +32,7 @@ pub enum Warning {
         /// Fraction that does not fit.
         fraction: f64,
     },
-    /// A posture fits far worse than the others: wrong joints, a bumped camera, a moved scene.
+    /// A posture fits far worse than the others: wrong joints, a displaced camera, a moved scene.
     OutlierPosture {
         /// Position of the posture.
         posture: usize,
@@ -160,7 +160,7 @@ impl fmt::Display for Warning {
             }
             Warning::LargeResiduals { sigma } => write!(
                 f,
-                "even the sights that fit are {sigma:.1} times as far off as features are uncertain: matches contradict each other (repeated texture, a scene that moved), or the nominal rig is wrong in what is not free; do not trust this calibration"
+                "even the observations that fit are {sigma:.1} times as far off as features are uncertain: matches contradict each other (repeated texture, a scene that moved), or the nominal rig is wrong in what is not free; do not trust this calibration"
             ),
             Warning::NotConverged { reason } => write!(f, "the solver {reason}"),
         }

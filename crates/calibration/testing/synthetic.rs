@@ -157,7 +157,7 @@ pub fn paper_postures(rig: &Rig) -> Vec<Posture> {
 }
 
 /// Points on the walls, floor and ceiling of a room and on boxes around the arm.
-pub fn room(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point3> {
+pub fn box_points(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point3> {
     (0..count)
         .map(|_| {
             // One in three on a nearer shell, so that depths vary within an image.

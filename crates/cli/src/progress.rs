@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 static STOP: AtomicBool = AtomicBool::new(false);
 
 /// How long a signal waits for results that are being put in their place, and for the removal of unfinished ones.
-const PATIENCE: Duration = Duration::from_millis(700);
+const ABANDON_TIMEOUT: Duration = Duration::from_millis(700);
 
 /// Lets Ctrl-C, SIGTERM and the end of the terminal end the program at once, whatever it does: what it has under construction
 /// is removed, and the exit code is 128 and the signal's number.
@@ -27,7 +27,7 @@ pub fn watch_for_interrupt() {
     std::thread::spawn(move || {
         let Some(signal) = signals.forever().next() else { return };
         STOP.store(true, Ordering::SeqCst);
-        let rest = match abandon_everything(PATIENCE) {
+        let rest = match abandon_everything(ABANDON_TIMEOUT) {
             true => "",
             false => "; the next command that writes there removes what is left",
         };

@@ -332,9 +332,9 @@ fn a_colour_profile_is_not_unpacked() {
     let copy = small_copy(3);
     for index in 0..3 {
         let path = copy.path().join(format!("color/{index:03}.jpg"));
-        let picture = image::open(&path).unwrap().into_rgb8();
+        let image = image::open(&path).unwrap().into_rgb8();
         let mut png = std::io::Cursor::new(Vec::new());
-        picture.write_to(&mut png, image::ImageFormat::Png).unwrap();
+        image.write_to(&mut png, image::ImageFormat::Png).unwrap();
         fs::write(&path, with_profile(&png.into_inner())).unwrap();
     }
     let begin = Instant::now();

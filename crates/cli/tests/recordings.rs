@@ -63,9 +63,9 @@ fn tum_folder(dataset: &Dataset, folder: &Path) {
     let mut table = "timestamp_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n".to_owned();
     for step in 0..200 * joints.len() {
         let (posture, seconds) = (step / 200, 0.02 * (step % 200) as f64);
-        let share = (seconds - 3.0).clamp(0.0, 1.0);
+        let fraction = (seconds - 3.0).clamp(0.0, 1.0);
         let next = joints[(posture + 1).min(joints.len() - 1)];
-        let values = joints[posture].iter().zip(next).map(|(a, b)| (a + share * (b - a)).to_degrees().to_string());
+        let values = joints[posture].iter().zip(next).map(|(a, b)| (a + fraction * (b - a)).to_degrees().to_string());
         table += &format!("{:.3},{}\n", 0.02 * step as f64, values.collect::<Vec<_>>().join(","));
     }
     fs::write(folder.join("rgb.txt"), rgb).unwrap();
@@ -122,7 +122,7 @@ fn a_tum_folder_becomes_a_data_set_that_calibrates() {
     let expectation = &mut options.expected.expectation;
     expectation.free = Free::Angles;
     expectation.pixel_sigma = found["reprojection_after"]["rms_px"].as_f64().unwrap();
-    expectation.depth_sigma_per_m = found["depth_sigma_per_m"].as_f64().unwrap();
+    expectation.depth_sigma_per_m2 = found["depth_sigma_per_m2"].as_f64().unwrap();
     expectation.joint_error_deg = found["joint_deviation_sigma_deg"].as_f64().unwrap();
     let expected = inspect(&imported, &options, &Silent).unwrap().expected.unwrap().parameters;
     let reported = found["parameters"].as_array().unwrap();

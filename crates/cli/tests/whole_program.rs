@@ -32,7 +32,7 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
     let held_out = |rig: &str| number(&summary, &format!("/held_out/metric_px/{rig}"));
     assert!(held_out("calibrated") < 0.2 * held_out("mount_only"), "{}", summary["held_out"]);
     assert_eq!(summary["held_out"]["folds"].as_array().unwrap().len(), 6);
-    assert_eq!(summary["grade"], "good");
+    assert_eq!(summary["status"], "good");
     // What the camera's position is told to be off by is what the calibration moved it by.
     assert!(number(&summary, "/recorded_poses/camera_change_mm/mean") > 5.0);
     assert!(number(&summary, "/workspace_poses/camera_sigma_mm/max") < 0.2);
@@ -60,20 +60,20 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
     let again = folder.path().join("map");
     succeed(&["map", utf8(cell()), "--rig", utf8(&out.join("rig.toml")), "--quiet", "--out", utf8(&again)]);
     assert_eq!(fs::metadata(again.join("map.ply")).unwrap().len(), fs::metadata(out.join("map.ply")).unwrap().len());
-    let picture = folder.path().join("map.png");
+    let image = folder.path().join("map.png");
     succeed(&[
         "render",
         utf8(&out.join("map_nominal.ply")),
         "--beside",
         utf8(&out.join("map.ply")),
         "--out",
-        utf8(&picture),
+        utf8(&image),
         "--width",
         "320",
         "--height",
         "200",
     ]);
-    assert_eq!(image::image_dimensions(&picture).unwrap(), (652, 200));
+    assert_eq!(image::image_dimensions(&image).unwrap(), (652, 200));
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn without_depth_one_length_holds_the_scale() {
     succeed(&["calibrate", utf8(cell()), "--no-depth", "--free", free, "--quiet", "--out", utf8(&out)]);
     let summary = json(&fs::read_to_string(out.join("summary.json")).unwrap());
     assert_eq!(number(&summary, "/counts/depth_images"), 0.0);
-    assert!(summary["calibration"]["depth_sigma_per_m"].is_null());
+    assert!(summary["calibration"]["depth_sigma_per_m2"].is_null());
     assert!(number(&summary, "/calibration/epipolar_after/median_px") < 0.3);
 }
 

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// Inputs a reader in a plain `cargo test`.
 const FEW: u64 = 300;
 /// No input may take longer.
-const MOST_TIME: Duration = Duration::from_secs(5);
+const MAX_TIME: Duration = Duration::from_secs(5);
 /// After so long an input is taken to hang.
 const HANGS: Duration = Duration::from_secs(20);
 
@@ -44,9 +44,9 @@ pub struct Trial<'a> {
     /// Reads, and all that follows from a file that can be read: whether it could.
     pub read: &'a dyn Fn(&Path) -> bool,
     /// Bytes that may be allocated for an input of this length.
-    pub most_allocated: &'a dyn Fn(usize) -> usize,
+    pub max_allocated: &'a dyn Fn(usize) -> usize,
     /// The largest resident set of the process, MiB.
-    pub most_resident_mib: f64,
+    pub max_resident_mib: f64,
 }
 
 /// Holds the allocator's limit and the clock for one reader at a time, as tests run side by side.
@@ -88,11 +88,11 @@ impl Trial<'_> {
             assert!((self.read)(&path), "{}: the seed {} itself is refused", self.reader, seed.name);
         }
         let (count, begin) = (setting("SKCLAM_FUZZ", FEW), setting("SKCLAM_FUZZ_SEED", 1));
-        let most_time = Duration::from_secs(setting("SKCLAM_FUZZ_SECONDS", 1800));
+        let max_time = Duration::from_secs(setting("SKCLAM_FUZZ_SECONDS", 1800));
         let start = Instant::now();
         let mut answers = Answers::default();
         for case in 0..count {
-            if start.elapsed() > most_time {
+            if start.elapsed() > max_time {
                 break;
             }
             self.try_case(begin, case, folder.path(), &watchdog, &mut answers);
@@ -110,7 +110,7 @@ impl Trial<'_> {
             resident.unwrap_or(f64::NAN),
         );
         assert!(tried < 100 || (answers.read > 0 && answers.refused > 0), "{}: nothing was tried", self.reader);
-        let most = self.most_resident_mib;
+        let most = self.max_resident_mib;
         assert!(resident.is_none_or(|peak| peak < most), "{}: more than {most} MiB resident", self.reader);
     }
 
@@ -128,7 +128,7 @@ impl Trial<'_> {
         };
         watchdog.begin(&path);
         let start = Instant::now();
-        allow_more((self.most_allocated)(bytes.len()));
+        allow_more((self.max_allocated)(bytes.len()));
         let answer = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| (self.read)(&path)));
         allow_all();
         let took = start.elapsed();
@@ -139,6 +139,6 @@ impl Trial<'_> {
             Err(_) => panic!("{}, input {case}: a panic; it is kept as {}", self.reader, keep().display()),
         }
         answers.slowest = answers.slowest.max(took);
-        assert!(took < MOST_TIME, "{}, input {case}: {took:?}; it is kept as {}", self.reader, keep().display());
+        assert!(took < MAX_TIME, "{}, input {case}: {took:?}; it is kept as {}", self.reader, keep().display());
     }
 }

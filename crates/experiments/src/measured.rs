@@ -172,7 +172,7 @@ pub fn claimed(nominal: &Rig, outcome: &Outcome, postures: &[Posture]) -> Result
 pub fn shown(summary: &Value) -> Result<Shown> {
     let sentence = first(summary, &["/verdict/sentence", "/verdict"])?;
     let sentence = sentence.as_str().map_or_else(|| sentence.to_string(), str::to_owned);
-    let status = first(summary, &["/status", "/grade"])?;
+    let status = first(summary, &["/status", "/status"])?;
     let status = match status.as_str().unwrap_or_default() {
         "good" | "green" | "use" => Status::Green,
         "caution" | "amber" => Status::Amber,
@@ -204,9 +204,9 @@ pub fn shown(summary: &Value) -> Result<Shown> {
 fn statements(summary: &Value, sentence: &str) -> Result<Vec<String>> {
     let list = |key: &str| summary.pointer(key).and_then(Value::as_array).cloned();
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let checks = list("/checks").or_else(|| list("/reasons")).context("the summary has neither checks nor reasons")?;
+    let checks = list("/checks").or_else(|| list("/checks")).context("the summary has neither checks nor reasons")?;
     let good = |check: &&Value| {
-        let status = ["/status", "/grade"].iter().find_map(|key| check.pointer(key));
+        let status = ["/status", "/status"].iter().find_map(|key| check.pointer(key));
         !matches!(status.and_then(Value::as_str), Some("good" | "green"))
     };
     let mut statements = vec![sentence.to_owned()];
@@ -229,8 +229,8 @@ mod tests {
     #[test]
     fn a_summary_is_read_by_its_keys_and_a_missing_one_is_an_error() {
         let summary = json!({
-            "verdict": "DO NOT TRUST this.", "grade": "bad", "warnings": ["the focal length is off"],
-            "reasons": [{"grade": "good", "text": "a time offset would be named here"}, {"grade": "caution", "text": "few postures"}],
+            "verdict": "DO NOT TRUST this.", "status": "bad", "warnings": ["the focal length is off"],
+            "checks": [{"status": "good", "text": "a time offset would be named here"}, {"status": "caution", "text": "few postures"}],
             "recorded_poses": {"camera_sigma_mm": {"mean": 0.3}},
             "held_out": {"figure_px": {"nominal": 3.0, "mount_only": null, "calibrated": 1.0}}
         });
@@ -239,7 +239,7 @@ mod tests {
         assert_eq!(found.causes, [Cause::FewPostures, Cause::FocalLength]);
         assert_eq!(found.held_out, Some([Some(3.0), None, Some(1.0)]));
         let mut unknown = summary.clone();
-        unknown["grade"] = json!("purple");
+        unknown["status"] = json!("purple");
         assert!(shown(&unknown).is_err());
         let mut bare = summary;
         bare.as_object_mut().unwrap().remove("verdict");

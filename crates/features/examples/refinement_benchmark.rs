@@ -124,8 +124,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             for list in [&mut before, &mut after, &mut nees] {
                 list.sort_by(f64::total_cmp);
             }
-            let at =
-                |list: &[f64], share: f64| list.get((list.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+            let at = |list: &[f64], fraction: f64| {
+                list.get((list.len() as f64 * fraction) as usize).copied().unwrap_or(f64::NAN)
+            };
             println!(
                 "{name}, {group}: {count}; {}; {:.3}, {:.4}; {:.3}; {}; {:.2}; {:.1}",
                 after.len(),

@@ -4,7 +4,7 @@
 //! # What differs from matching everything and gating afterwards
 //! Here the gate comes first: nearest, second nearest and cross-check are taken over the admitted pairs alone, exactly
 //! as if every other entry of the distance matrix were missing. The ratio test is thereby held against fewer
-//! descriptors, and a keypoint whose nearest descriptor lies outside of the band may still find its partner inside.
+//! descriptors, and a keypoint whose nearest descriptor lies outside of the band may still find its neighbor inside.
 //! Every match that survives [`match_and_filter`] up to the cross-check is also found here
 //! (the same nearest, no nearer second, no better rival; one exception would be a lone candidate whose true second lay
 //! beyond [`UNRELATED_DISTANCE`](crate::matching::UNRELATED_DISTANCE)), and some more. In a band so

@@ -20,7 +20,7 @@ pub use error::FeaturesError;
 pub use filter::{DescribedPoints, FilterOptions, FilteredMatches, RansacOptions, match_and_filter};
 pub use guided::{PredictedPoints, Prediction, match_guided};
 pub use keypoint::{Descriptor, Features, KeyPoint, Match};
-pub use mask::{CameraFixed, MaskOptions, MaskOutcome, MatchedPair, find_camera_fixed, keep_unmasked};
+pub use mask::{EgoMask, MaskOptions, MaskOutcome, MatchedPair, find_ego_mask, keep_unmasked};
 pub use matching::{MatchCounts, MatchOptions, Matching, match_descriptors};
 pub use refine::{
     Bend, BendPrediction, Pyramid, RefineOptions, Refined, Refiner, Rejection, Seed, WarpModel, refine_matches,

@@ -27,31 +27,31 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct MaskOptions {
     /// A match that moved at most this far stands still, px.
-    pub still_px: f64,
+    pub static_px: f64,
     /// Where it stands still, the scene must have moved at least this far, px.
     pub scene_moves_px: f64,
     /// Fewest pairs of images that must have voted for a place.
     pub min_votes: u32,
     /// Share of the votes of a place that must be for standing still.
-    pub min_share: f64,
+    pub min_fraction: f64,
     /// How far from a place with votes the mask reaches, px.
     pub margin_px: f64,
     /// Gaps up to this width within what is fixed are masked too, px, unless the scene was seen in them.
     pub gap_px: f64,
     /// A mask larger than this share of the image is not believed.
-    pub max_masked_share: f64,
+    pub max_masked_fraction: f64,
 }
 
 impl Default for MaskOptions {
     fn default() -> Self {
         MaskOptions {
-            still_px: 1.0,
+            static_px: 1.0,
             scene_moves_px: 10.0,
             min_votes: 3,
-            min_share: 0.75,
+            min_fraction: 0.75,
             margin_px: 8.0,
             gap_px: 64.0,
-            max_masked_share: 0.5,
+            max_masked_fraction: 0.5,
         }
     }
 }
@@ -83,7 +83,7 @@ pub enum MaskOutcome {
 
 /// A mask for what moves with the camera, and where it comes from.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CameraFixed {
+pub struct EgoMask {
     /// 0 where features are to be ignored, 255 elsewhere.
     pub mask: GrayImage,
     /// How the search ended.
@@ -93,18 +93,18 @@ pub struct CameraFixed {
     /// Pairs in which the scene moved enough to tell.
     pub moving_pairs: usize,
     /// Matches that stood still where the scene moved.
-    pub still_matches: usize,
+    pub static_matches: usize,
     /// Matches that moved with the scene.
     pub scene_matches: usize,
     /// Share of the image that was found to be fixed; in the mask unless it was not believed.
-    pub masked_share: f64,
+    pub masked_fraction: f64,
 }
 
 /// Side of a cell, px.
 const CELL_PX: u32 = 8;
 /// Fewest matches that must agree on how the scene moved, and their share of those that moved.
 const MIN_AGREEING: usize = 12;
-const MIN_AGREEING_SHARE: f64 = 0.3;
+const MIN_AGREEING_FRACTION: f64 = 0.3;
 /// How far a match of the scene may be from the homography, px: depth makes it wrong by some.
 const AGREEING_PX: f64 = 15.0;
 
@@ -114,12 +114,12 @@ const AGREEING_PX: f64 = 15.0;
 ///
 /// # Errors
 /// Options out of range, positions that are not finite, matches without a position, an image without pixels.
-pub fn find_camera_fixed(
+pub fn find_ego_mask(
     width: u32,
     height: u32,
     pairs: &[MatchedPair<'_>],
     options: &MaskOptions,
-) -> Result<CameraFixed, FeaturesError> {
+) -> Result<EgoMask, FeaturesError> {
     check(width, height, options)?;
     for pair in pairs {
         check_positions(pair.positions_a)?;
@@ -130,14 +130,14 @@ pub fn find_camera_fixed(
 
     let mut still = Cells::new(width, height, CELL_PX);
     let mut moving = still.clone();
-    let mut found = CameraFixed {
+    let mut found = EgoMask {
         mask: GrayImage::from_pixel(width, height, Luma([255])),
         outcome: MaskOutcome::NothingFixed,
         pairs: pairs.len(),
         moving_pairs: votes.iter().filter(|votes| votes.scene_moved).count(),
-        still_matches: votes.iter().map(|votes| votes.still.len()).sum(),
+        static_matches: votes.iter().map(|votes| votes.still.len()).sum(),
         scene_matches: votes.iter().map(|votes| votes.scene.len()).sum(),
-        masked_share: 0.0,
+        masked_fraction: 0.0,
     };
     for votes in &votes {
         // One vote a pair and cell, however many keypoints are in it.
@@ -154,13 +154,13 @@ pub fn find_camera_fixed(
         let mut shape = still.clone();
         for (at, cell) in shape.counts.iter_mut().enumerate() {
             let (votes, against) = (still_around.counts[at], moving_around.counts[at]);
-            let sure = f64::from(votes) >= options.min_share * f64::from(votes.saturating_add(against));
+            let sure = f64::from(votes) >= options.min_fraction * f64::from(votes.saturating_add(against));
             *cell = u32::from(*cell > 0 && votes >= min_votes && sure);
         }
         shape
     };
     let mut shape = voted(options.min_votes);
-    if shape.share() == 0.0 {
+    if shape.fraction() == 0.0 {
         return Ok(found);
     }
     let cells = |px: f64| (px / f64::from(CELL_PX)).ceil() as usize;
@@ -181,12 +181,12 @@ pub fn find_camera_fixed(
     let mut shape = shape.widened(gap).narrowed(gap).widened(margin);
     for (cell, (still, moving)) in shape.counts.iter_mut().zip(still.counts.iter().zip(&moving.counts)) {
         // Where the scene was seen more than once it is not covered, unless the votes say otherwise.
-        if *moving > 1 && f64::from(*still) < options.min_share * f64::from(still + moving) {
+        if *moving > 1 && f64::from(*still) < options.min_fraction * f64::from(still + moving) {
             *cell = 0;
         }
     }
-    found.masked_share = shape.share();
-    if found.masked_share > options.max_masked_share {
+    found.masked_fraction = shape.fraction();
+    if found.masked_fraction > options.max_masked_fraction {
         found.outcome = MaskOutcome::Implausible;
         return Ok(found);
     }
@@ -201,20 +201,20 @@ fn check(width: u32, height: u32, options: &MaskOptions) -> Result<(), FeaturesE
         return bad("width, height", format!("{width} x {height}"), "an image with pixels");
     }
     let positive = [
-        ("still_px", options.still_px),
+        ("static_px", options.static_px),
         ("scene_moves_px", options.scene_moves_px),
-        ("min_share", options.min_share),
+        ("min_fraction", options.min_fraction),
         ("margin_px", options.margin_px),
         ("gap_px", options.gap_px),
-        ("max_masked_share", options.max_masked_share),
+        ("max_masked_fraction", options.max_masked_fraction),
     ];
     for (option, value) in positive {
         if !(value > 0.0 && value.is_finite()) {
             return bad(option, value.to_string(), "a positive number");
         }
     }
-    if options.still_px * 2.0 > options.scene_moves_px {
-        return bad("scene_moves_px", options.scene_moves_px.to_string(), "at least twice still_px");
+    if options.static_px * 2.0 > options.scene_moves_px {
+        return bad("scene_moves_px", options.scene_moves_px.to_string(), "at least twice static_px");
     }
     if options.margin_px.max(options.gap_px) > 512.0 {
         let got = format!("{}, {}", options.margin_px, options.gap_px);
@@ -238,7 +238,7 @@ fn votes_of(pair: &MatchedPair<'_>, options: &MaskOptions) -> Votes {
     let ends = |m: &Match| (pair.positions_a[m.a as usize], pair.positions_b[m.b as usize]);
     let (mut still, mut in_a, mut in_b) = (Vec::new(), Vec::new(), Vec::new());
     for (a, b) in pair.matches.iter().map(ends) {
-        if (a - b).norm() <= options.still_px {
+        if (a - b).norm() <= options.static_px {
             still.push((a, b));
         } else {
             in_a.push(a);
@@ -266,7 +266,7 @@ fn votes_of(pair: &MatchedPair<'_>, options: &MaskOptions) -> Votes {
             }
         }
     }
-    if agreeing < MIN_AGREEING || (agreeing as f64) < MIN_AGREEING_SHARE * in_a.len() as f64 {
+    if agreeing < MIN_AGREEING || (agreeing as f64) < MIN_AGREEING_FRACTION * in_a.len() as f64 {
         return Votes::default();
     }
     votes.scene_moved = votes.scene.len() >= 2 * MIN_AGREEING;

@@ -148,7 +148,7 @@ const AT_REST: f64 = 0.008;
 /// order.
 const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
-const LEAST_CONTRAST: f64 = 1.0;
+const MIN_CONTRAST: f64 = 1.0;
 /// Noise of neighbouring samples is alike, since the image is smoothed and interpolated: so many samples count as one.
 const SAMPLES_IN_ONE: f64 = 4.0 * std::f64::consts::PI * pyramid::SMOOTHING_PX2;
 /// What interpolation and sensor leave whatever the noise says, px.
@@ -331,7 +331,7 @@ fn refine_at(
     if !template.cut(&a.levels[level_a], [seed.in_a.x / scale_a, seed.in_a.y / scale_a], &cubic_a) {
         return Err(Rejection::OutsideImage);
     }
-    if template.contrast() < LEAST_CONTRAST {
+    if template.contrast() < MIN_CONTRAST {
         return Err(Rejection::NoTexture);
     }
     let start = Warp {

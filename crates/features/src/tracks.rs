@@ -1,4 +1,4 @@
-//! One point seen in many images: pairwise matches joined to tracks, and one consistent position for each sighting.
+//! One point seen in many images: pairwise matches joined to tracks, and one consistent position for each observation.
 //!
 //! # Joining
 //! Links (matches) are taken from the strongest to the weakest; a link joins two tracks only if they have no image in
@@ -6,9 +6,9 @@
 //! out, whatever the order in which the pairs were given.
 //!
 //! # Positions
-//! Refining the second point of each pair on its own would give a keypoint as many positions as it has partners.
-//! [`refine_tracks`] instead lets one sighting name the point, the *reference*, and aligns all others with its patch:
-//! each sighting has one position with one covariance, as bundle adjustment asks.
+//! Refining the second point of each pair on its own would give a keypoint as many positions as it has neighbors.
+//! [`refine_tracks`] instead lets one observation name the point, the *reference*, and aligns all others with its patch:
+//! each observation has one position with one covariance, as bundle adjustment asks.
 
 mod refine;
 
@@ -28,7 +28,7 @@ pub struct ImagePair<'a> {
     pub matches: &'a [Match],
 }
 
-/// A sighting: a keypoint of an image.
+/// An observation: a keypoint of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Observation {
     /// Number of the image.
@@ -57,11 +57,11 @@ pub struct TrackCounts {
     /// Links given.
     pub links: usize,
     /// Links that joined two tracks.
-    pub joining: usize,
+    pub merges: usize,
     /// Links within a track, which confirm it.
     pub confirming: usize,
     /// Links left out, since they would have put two keypoints of one image into a track.
-    pub contradicting: usize,
+    pub conflicts: usize,
     /// Tracks kept.
     pub tracks: usize,
     /// Tracks dropped for being too short.
@@ -133,9 +133,9 @@ pub fn build_tracks(
     let mut counts = TrackCounts { links: links.len(), ..TrackCounts::default() };
     for (_, a, b) in links {
         match forest.join(a, b) {
-            Joined::Now => counts.joining += 1,
+            Joined::Now => counts.merges += 1,
             Joined::Before => counts.confirming += 1,
-            Joined::Never => counts.contradicting += 1,
+            Joined::Never => counts.conflicts += 1,
         }
     }
 
@@ -289,7 +289,7 @@ mod tests {
         let tracks = build_tracks(&[2, 2, 3], &pairs, &TrackOptions::default()).unwrap();
         assert_eq!(lists(&tracks), [[(0, 0), (1, 0), (2, 0)], [(0, 1), (1, 1), (2, 1)]]);
         let counts = tracks.counts;
-        assert_eq!((counts.joining, counts.confirming, counts.contradicting), (4, 1, 1));
+        assert_eq!((counts.merges, counts.confirming, counts.conflicts), (4, 1, 1));
         let long = build_tracks(&[2, 2, 3], &pairs, &TrackOptions { min_length: 4 }).unwrap();
         assert_eq!((long.len(), long.counts.short), (0, 2));
     }
@@ -331,8 +331,8 @@ mod tests {
             all.dedup();
             prop_assert_eq!(all.len(), tracks.observations.len());
             let c = tracks.counts;
-            prop_assert_eq!(c.joining + c.confirming + c.contradicting, c.links);
-            prop_assert_eq!(c.joining, c.observations - c.tracks);
+            prop_assert_eq!(c.merges + c.confirming + c.conflicts, c.links);
+            prop_assert_eq!(c.merges, c.observations - c.tracks);
         }
     }
 }

@@ -70,8 +70,8 @@ fn compare(a: &Features, b: &Features, turn: impl Fn(f32, f32) -> (f32, f32), by
     let (mut count, mut mean, mut turned_by, mut hamming) = (0, [0.0; 2], Vec::new(), 0);
     for (i, k) in a.keypoints.iter().enumerate() {
         let (x, y) = turn(k.x, k.y);
-        let partner = b.keypoints.iter().position(|o| o.level == k.level && (o.x - x).hypot(o.y - y) < 0.05 * k.size);
-        if let Some(j) = partner {
+        let neighbor = b.keypoints.iter().position(|o| o.level == k.level && (o.x - x).hypot(o.y - y) < 0.05 * k.size);
+        if let Some(j) = neighbor {
             let o = &b.keypoints[j];
             count += 1;
             mean = [mean[0] + o.x - x, mean[1] + o.y - y];

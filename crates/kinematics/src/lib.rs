@@ -12,8 +12,8 @@ mod jacobian;
 mod link;
 mod refinement;
 mod spherical_wrist;
-mod turns;
 mod urdf;
+mod wrapping;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
@@ -23,10 +23,10 @@ pub use jacobian::ChainJacobian;
 pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
 pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
 pub use spherical_wrist::{Elbow, Shoulder, SphericalWristSolution, Wrist, spherical_wrist_solutions};
-pub use turns::nearby;
 pub use urdf::{
     CollisionBody, CollisionModel, CollisionShape, bare_urdf, chain_from_urdf, line_diff, urdf_ends, write_urdf,
 };
+pub use wrapping::nearby;
 
 /// A rigid transform `a_from_b`, metres.
 pub type Isometry3 = nalgebra::Isometry3<f64>;

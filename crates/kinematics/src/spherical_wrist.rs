@@ -11,7 +11,7 @@
 //! where one is missing, and would bring a second linear algebra; these equations are shorter than an adapter.
 
 use crate::chain::JointKind;
-use crate::turns::{admitted_turns, wrapped};
+use crate::wrapping::{admitted_revolutions, wrapped};
 use crate::{Isometry3, KinematicsError, SerialChain};
 use nalgebra::{Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
@@ -100,7 +100,7 @@ pub fn spherical_wrist_solutions(
                     .joints()
                     .iter()
                     .zip(&joint_values)
-                    .all(|(joint, &q)| admitted_turns(joint, q).next().is_some());
+                    .all(|(joint, &q)| admitted_revolutions(joint, q).next().is_some());
                 solutions.push(SphericalWristSolution { joint_values, within_limits, shoulder, elbow, wrist });
             }
         }

@@ -37,9 +37,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = RenderOptions { point_radius_m: voxel_m, ..Default::default() };
     for preset in [Front, Top, Left, Isometric, Perspective] {
         let start = Instant::now();
-        let picture = render(&model, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
+        let image = render(&model, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
         let path = out.join(format!("{preset:?}.png").to_lowercase());
-        picture.save(&path)?;
+        image.save(&path)?;
         println!("{} {:?}", path.display(), start.elapsed());
     }
     let eye = RenderCamera::from_camera(&dataset.color_camera, dataset.shots[0].base_from_color);
@@ -51,8 +51,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mesh = Model::Mesh(tsdf.surface(&SurfaceOptions::default())?);
     for preset in [Top, Isometric, Perspective] {
-        let picture = render(&mesh, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
-        picture.save(out.join(format!("mesh_{preset:?}.png").to_lowercase()))?;
+        let image = render(&mesh, &RenderCamera::framing(&model, preset, 1200, 900), &options)?;
+        image.save(out.join(format!("mesh_{preset:?}.png").to_lowercase()))?;
     }
     render(&mesh, &eye, &options)?.save(out.join("mesh_shot0.png"))?;
     Ok(())

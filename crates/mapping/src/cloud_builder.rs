@@ -5,7 +5,7 @@
 //! voxel; each shard takes its points in image order, and the result is ordered by voxel: the same bytes on any number
 //! of threads.
 //!
-//! What does not depend on the pose (which pixels are believed, their normals and colours) is found once an image, so
+//! What does not depend on the pose (which pixels are valid, their normals and colours) is found once an image, so
 //! that a second map at other poses costs only its voxels: [`CloudBuilder::points`] and [`CloudBuilder::add_points`].
 
 use crate::cloud_cell::{Cell, FinishedPoint, NEUTRAL_GREY, Shard, to_byte};
@@ -61,7 +61,7 @@ pub enum PointDepths {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CloudOptions {
-    /// Which depth pixels are believed.
+    /// Which depth pixels are valid.
     pub filter: DepthFilter,
     /// Edge of the voxels that are merged into one point, metres; none keeps every pixel of every image.
     pub voxel_m: Option<f64>,
@@ -115,7 +115,7 @@ impl CloudBuilder {
         Ok(CloudBuilder { options, rays: None, shards, raw: PointCloud::default(), views: 0 })
     }
 
-    /// Adds the believed pixels of a view and returns how many they were. A view without any is no error.
+    /// Adds the valid pixels of a view and returns how many they were. A view without any is no error.
     ///
     /// On an error the cloud is as it was, except when the memory limit is hit.
     pub fn add(&mut self, view: &View<'_>) -> Result<usize, Error> {

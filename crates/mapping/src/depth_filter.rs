@@ -1,32 +1,33 @@
-//! Which depth pixels are believed, and how noisy they are.
+//! Which depth pixels are valid, and how noisy they are.
 
 use crate::Error;
 use serde::{Deserialize, Serialize};
 
-/// How the standard deviation of a depth camera grows with the depth: `sigma = floor_m + quadratic_per_m z^2`.
+/// How the standard deviation of a depth camera grows with the depth: `sigma = floor_m + depth_sigma_per_m2 z^2`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthNoise {
     /// The part that grows with the square of the depth, 1/m; triangulating cameras have about 0.001 to 0.004.
-    pub quadratic_per_m: f64,
+    pub depth_sigma_per_m2: f64,
     /// The part that is always there, metres.
     pub floor_m: f64,
 }
 
 impl Default for DepthNoise {
     fn default() -> Self {
-        DepthNoise { quadratic_per_m: 0.003, floor_m: 0.0003 }
+        DepthNoise { depth_sigma_per_m2: 0.003, floor_m: 0.0003 }
     }
 }
 
 impl DepthNoise {
     /// Standard deviation at a depth, both in metres.
     pub fn sigma(&self, depth_m: f64) -> f64 {
-        self.floor_m + self.quadratic_per_m * depth_m * depth_m
+        self.floor_m + self.depth_sigma_per_m2 * depth_m * depth_m
     }
 
     pub(crate) fn check(&self) -> Result<(), Error> {
-        for (option, value) in [("noise.quadratic_per_m", self.quadratic_per_m), ("noise.floor_m", self.floor_m)] {
+        for (option, value) in [("noise.depth_sigma_per_m2", self.depth_sigma_per_m2), ("noise.floor_m", self.floor_m)]
+        {
             if !(value.is_finite() && (0.0..=1.0).contains(&value)) {
                 return Err(Error::Option { option, value: value.to_string(), need: "between 0 and 1 is needed" });
             }
@@ -35,14 +36,14 @@ impl DepthNoise {
             return Err(Error::Option {
                 option: "noise",
                 value: "0".into(),
-                need: "at least one of quadratic_per_m and floor_m must be positive",
+                need: "at least one of depth_sigma_per_m2 and floor_m must be positive",
             });
         }
         Ok(())
     }
 }
 
-/// Which depth pixels are believed.
+/// Which depth pixels are valid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthFilter {
@@ -102,7 +103,7 @@ impl DepthFilter {
     /// Coefficients of depth, 1 and squared depth in the largest difference between neighbours on one surface.
     pub(crate) fn step_coefficients(&self) -> (f32, f32, f32) {
         let sigmas = 4.0 * std::f64::consts::SQRT_2;
-        let DepthNoise { quadratic_per_m, floor_m } = self.noise;
-        (self.edge_step as f32, (sigmas * floor_m) as f32, (sigmas * quadratic_per_m) as f32)
+        let DepthNoise { depth_sigma_per_m2, floor_m } = self.noise;
+        (self.edge_step as f32, (sigmas * floor_m) as f32, (sigmas * depth_sigma_per_m2) as f32)
     }
 }

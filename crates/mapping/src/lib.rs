@@ -6,14 +6,13 @@
 //!
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
 //! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
-//! - [`surface_gaps`] and [`score_surface`] say how good a map is;
+//! - [`depth_consistency`] and [`score_surface`] say how good a map is;
 //! - [`OccupancyGrid`] tells free, occupied and unknown space, as OctoMap files and as a distance field;
 //! - [`without_bodies`] keeps the arm and its gripper out of them;
 //! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`], [`write_stl`]
 //!   and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
 
-mod believed;
 mod bodies;
 mod cloud;
 mod cloud_builder;
@@ -32,6 +31,7 @@ mod rays;
 mod render;
 mod surface;
 mod tsdf;
+mod valid_depth;
 mod view;
 mod view_points;
 mod voxel;
@@ -46,8 +46,8 @@ pub use nearest::SurfaceIndex;
 pub use occupancy::{Esdf, FreeBoundary, Occupancy, OccupancyGrid, OccupancyOptions};
 pub use ply::{read_ply, write_cloud_ply, write_ply};
 pub use quality::{
-    DistanceSummary, GapOptions, GapSample, PairGap, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceGaps, SurfaceScore,
-    score_surface, surface_gaps,
+    DepthConsistency, DepthConsistencyOptions, DistanceSummary, PairConsistency, PointToPlaneSample, ReferenceOptions,
+    SCORE_THRESHOLDS_M, SurfaceScore, depth_consistency, score_surface,
 };
 pub use render::{BackFaces, Projection, RenderCamera, RenderOptions, ViewPreset, render, side_by_side};
 pub use surface::{SurfaceOptions, decimate, remove_small_clusters, vertex_normals};

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// Surroundings whose variance about the plane exceeds that of the noise by this factor are not flat.
-const MOST_BENT: f32 = 2.0;
+const MAX_BENT: f32 = 2.0;
 
 /// The window over which inverse depth is fitted: two units to each side.
 #[derive(Debug, Clone, Copy)]

@@ -10,7 +10,7 @@ use ply_rs_bw::ply::{ElementDef, Property, PropertyAccess, PropertyAccessResult}
 use std::io::{BufRead, Write};
 
 /// Most vertices or faces that are read: more than any map, and little enough for 32-bit indices.
-const MOST_ELEMENTS: usize = 200_000_000;
+const MAX_ELEMENTS: usize = 200_000_000;
 
 /// Writes a cloud or a mesh as binary little-endian PLY. The writer should be buffered.
 pub fn write_ply(model: &Model, out: impl Write) -> Result<(), Error> {
@@ -111,9 +111,9 @@ fn refuse(reason: String) -> Error {
 }
 
 fn check_element(element: &ElementDef) -> Result<(), Error> {
-    if element.count > MOST_ELEMENTS {
+    if element.count > MAX_ELEMENTS {
         let (name, count) = (&element.name, element.count);
-        return Err(refuse(format!("it announces {count} elements `{name}`, more than {MOST_ELEMENTS}")));
+        return Err(refuse(format!("it announces {count} elements `{name}`, more than {MAX_ELEMENTS}")));
     }
     // Elements without properties take no bytes, so a few letters could announce any number of them.
     if element.properties.is_empty() && element.count > 0 {

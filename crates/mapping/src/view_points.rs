@@ -1,4 +1,4 @@
-//! The believed pixels of a depth image as coloured points with normals, in the colour camera's frame: all of a cloud that
+//! The valid pixels of a depth image as coloured points with normals, in the colour camera's frame: all of a cloud that
 //! does not depend on the pose.
 
 use crate::View;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// Rows that are worked on together.
 const ROWS: usize = 16;
 
-/// One believed pixel: where it is and what it weighs.
+/// One valid pixel: where it is and what it weighs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ViewPoint {
     pub(crate) point_in_color: [f32; 3],
@@ -35,7 +35,7 @@ impl ViewPoints {
     /// Of a view that was checked.
     pub(crate) fn new(view: &View<'_>, rays: &Rays, options: &CloudOptions) -> Self {
         let filter = &options.filter;
-        let depth = view.believed_depth_along(filter, rays);
+        let depth = view.valid_depth_along(filter, rays);
         let width = rays.width().max(1);
         let wants_fit = options.normals == PointNormals::Fitted || options.depths == PointDepths::Fitted;
         let fitter = wants_fit.then(|| PatchFitter::new(&depth, rays, filter, NormalWindow::of_maps(1)));
@@ -44,7 +44,7 @@ impl ViewPoints {
         let rotation = *color_from_depth.rotation.to_rotation_matrix().matrix();
         let translation = color_from_depth.translation.vector;
         let noise = &filter.noise;
-        let (floor, quadratic) = (noise.floor_m as f32, noise.quadratic_per_m as f32);
+        let (floor, quadratic) = (noise.floor_m as f32, noise.depth_sigma_per_m2 as f32);
         let bands = depth.par_chunks(width * ROWS).enumerate().map_init(
             <(PatchRow, ColorPlaces)>::default,
             |(patches, places), (band, rows)| {
@@ -94,7 +94,7 @@ impl ViewPoints {
         self.bands.iter().map(Vec::len).sum()
     }
 
-    /// Whether no pixel is believed.
+    /// Whether no pixel is valid.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -4,8 +4,8 @@ mod dataset;
 
 use skclam_geometry::Isometry3;
 use skclam_mapping::{
-    CloudBuilder, CloudOptions, GapOptions, Model, ReferenceOptions, SurfaceOptions, Tsdf, TsdfOptions, View, read_ply,
-    score_surface, surface_gaps,
+    CloudBuilder, CloudOptions, DepthConsistencyOptions, Model, ReferenceOptions, SurfaceOptions, Tsdf, TsdfOptions,
+    View, depth_consistency, read_ply, score_surface,
 };
 use std::fs::File;
 use std::io::BufReader;
@@ -39,9 +39,9 @@ fn the_fused_surface_is_nearer_to_the_truth_than_the_pixels_are() {
 fn gaps_between_views_tell_true_poses_from_wrong_ones() {
     let Some(folder) = dataset::data_folder("virtual-cell") else { return };
     let cell = dataset::load(&folder, VIEWS);
-    let options = GapOptions { stride: 8, ..Default::default() };
+    let options = DepthConsistencyOptions { stride: 8, ..Default::default() };
     let views: Vec<View<'_>> = (0..cell.shots.len()).map(|index| cell.view(index)).collect();
-    let at_truth = surface_gaps(&views, &options).unwrap();
+    let at_truth = depth_consistency(&views, &options).unwrap();
     // Every camera is moved by 2 cm in a direction of its own.
     let moved: Vec<View<'_>> = views
         .iter()
@@ -52,7 +52,7 @@ fn gaps_between_views_tell_true_poses_from_wrong_ones() {
             View { base_from_color: shift * view.base_from_color, ..*view }
         })
         .collect();
-    let off = surface_gaps(&moved, &options).unwrap();
+    let off = depth_consistency(&moved, &options).unwrap();
     println!("truth {:?} mm, moved {:?} mm, {} pairs", at_truth.median_m, off.median_m, at_truth.pairs.len());
     assert!(at_truth.pairs.len() > 10);
     assert!(at_truth.median_m.unwrap() < 0.008);

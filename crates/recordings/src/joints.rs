@@ -205,9 +205,9 @@ pub fn interpolated(track: &JointTrack, time: Stamp, max_gap: Stamp) -> Option<V
     if end - begin > max_gap {
         return None;
     }
-    let share = (time - begin) as f64 / (end - begin) as f64;
+    let fraction = (time - begin) as f64 / (end - begin) as f64;
     let (a, b) = (track.at(before), track.at(after));
-    Some((0..track.width).map(|joint| a[joint] + share * track.difference(joint, a[joint], b[joint])).collect())
+    Some((0..track.width).map(|joint| a[joint] + fraction * track.difference(joint, a[joint], b[joint])).collect())
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ mod pairing;
 mod pixels;
 mod recording;
 mod sharpness;
-mod stands;
+mod stationary;
 mod survey;
 mod tum;
 mod wire;
@@ -39,7 +39,7 @@ pub use pairing::{Candidate, ImageStamp, PlannedPosture, PosturePlan, Selection,
 pub use pixels::{ColorPixels, DepthPixels, FLOAT_DEPTH_UNIT_M};
 pub use recording::{Message, Place, Recording, RecordingFormat, Topic, Wanted};
 pub use sharpness::{Exposure, exposure, sharpness};
-pub use stands::{Stand, find_stands};
+pub use stationary::{StationaryInterval, find_stationary_intervals};
 pub use survey::{ClockJump, Survey, TopicSurvey, survey};
 pub use wire::WireFormat;
 

@@ -1,7 +1,7 @@
 //! Which images become postures: colour, depth and joints paired by their stamps.
 
-use crate::stands::nanoseconds;
-use crate::{JointTrack, Place, RecordingError, Stamp, Stand, find_stands, interpolated};
+use crate::stationary::nanoseconds;
+use crate::{JointTrack, Place, RecordingError, Stamp, StationaryInterval, find_stationary_intervals, interpolated};
 use serde::{Deserialize, Serialize};
 
 /// Which images are postures.
@@ -32,7 +32,7 @@ pub struct SelectionOptions {
     /// The arm stands still while every joint is slower than this, rad/s or m/s.
     pub max_joint_speed: f64,
     /// ... for at least this long, seconds.
-    pub min_stand_s: f64,
+    pub min_stationary_s: f64,
     /// After the arm has stopped it swings for so long, seconds; images of that time are not used.
     pub settle_s: f64,
     /// Joints are unknown between samples further apart than this, seconds.
@@ -50,7 +50,7 @@ impl Default for SelectionOptions {
         SelectionOptions {
             selection: Selection::Automatic,
             max_joint_speed: 0.3f64.to_radians(),
-            min_stand_s: 0.5,
+            min_stationary_s: 0.5,
             settle_s: 0.25,
             max_gap_s: 0.5,
             joint_tolerance_s: 0.05,
@@ -65,7 +65,7 @@ impl SelectionOptions {
         let need = "a number from 0 to 1e6 is needed";
         for (option, value) in [
             ("max_joint_speed", self.max_joint_speed),
-            ("min_stand_s", self.min_stand_s),
+            ("min_stationary_s", self.min_stationary_s),
             ("settle_s", self.settle_s),
             ("max_gap_s", self.max_gap_s),
             ("joint_tolerance_s", self.joint_tolerance_s),
@@ -118,8 +118,8 @@ pub struct PosturePlan {
     /// What was selected: never [`Selection::Automatic`].
     pub selection: Selection,
     /// Times at which the arm stood still; without images among them.
-    pub stands: usize,
-    /// Images (or stands) left out because no joints were known.
+    pub intervals: usize,
+    /// Images (or intervals) left out because no joints were known.
     pub without_joints: usize,
     /// Postures without a depth image although the recording has depth.
     pub without_depth: usize,
@@ -153,9 +153,9 @@ pub fn plan_postures(
     };
     let planner = Planner { track, depth: &depth, options };
     let mut plan =
-        PosturePlan { postures: vec![], selection, stands: 0, without_joints: 0, without_depth: 0, moving: 0 };
+        PosturePlan { postures: vec![], selection, intervals: 0, without_joints: 0, without_depth: 0, moving: 0 };
     match selection {
-        Selection::Still | Selection::Automatic => planner.stands(&color, &mut plan),
+        Selection::Still | Selection::Automatic => planner.intervals(&color, &mut plan),
         Selection::Snapshots => planner.each(&color, &mut plan, |planner, time| {
             let nearest = planner.track.nearest(time)?;
             let distance = (planner.track.times()[nearest] - time).abs();
@@ -199,12 +199,12 @@ impl Planner<'_> {
         }
     }
 
-    fn stands(&self, color: &[ImageStamp], plan: &mut PosturePlan) {
-        let stands = find_stands(self.track, self.options);
-        plan.stands = stands.len();
+    fn intervals(&self, color: &[ImageStamp], plan: &mut PosturePlan) {
+        let intervals = find_stationary_intervals(self.track, self.options);
+        plan.intervals = intervals.len();
         let settle = nanoseconds(self.options.settle_s);
         let mut used = 0;
-        for Stand { begin, end } in stands {
+        for StationaryInterval { begin, end } in intervals {
             let first = color.partition_point(|image| image.stamp < begin + settle);
             let last = color.partition_point(|image| image.stamp <= end);
             let images = &color[first..last.max(first)];
@@ -278,7 +278,7 @@ mod tests {
         let color = images((0..150).map(|index| index * 33));
         let depth = images((0..150).map(|index| index * 33 + 8));
         let plan = plan_postures(&track(), &color, &depth, &SelectionOptions::default()).unwrap();
-        assert_eq!((plan.postures.len(), plan.stands, plan.selection), (2, 2, Selection::Still));
+        assert_eq!((plan.postures.len(), plan.intervals, plan.selection), (2, 2, Selection::Still));
         for (posture, (begin, value)) in plan.postures.iter().zip([(250, 0.0), (3250, 1.0)]) {
             assert_eq!(posture.candidates.len(), 8);
             for candidate in &posture.candidates {

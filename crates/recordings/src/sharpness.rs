@@ -52,13 +52,13 @@ pub fn exposure(image: &GrayImage) -> Exposure {
         histogram.iter().enumerate().map(|(value, &count)| (value as f64).powi(power) * count as f64).sum::<f64>()
             / count
     };
-    let share = |range: &[u64]| range.iter().sum::<u64>() as f64 / count;
+    let fraction = |range: &[u64]| range.iter().sum::<u64>() as f64 / count;
     let mean = moment(1);
     Exposure {
         mean,
         sd: (moment(2) - mean * mean).max(0.0).sqrt(),
-        dark: share(&histogram[..=4]),
-        bright: share(&histogram[251..]),
+        dark: fraction(&histogram[..=4]),
+        bright: fraction(&histogram[251..]),
     }
 }
 

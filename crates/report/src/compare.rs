@@ -2,7 +2,7 @@
 //! such row at all, its place is empty. Parameters of one arm are held against each other in sigmas, those of two arms are not.
 
 use crate::RunResult;
-use crate::figures::{CALIBRATED, Chart, Digits, NOMINAL, number};
+use crate::charts::{CALIBRATED, Chart, Digits, NOMINAL, number};
 use crate::html::{escaped, table};
 use crate::judgement::judge;
 use crate::page::{Section, assemble};
@@ -32,8 +32,8 @@ pub struct ComparedRun {
     pub dataset: Option<String>,
     /// Why its arm is another than the first run's; `None` for the first, and for the same arm.
     pub another_arm: Option<String>,
-    /// What its traffic light says.
-    pub light: String,
+    /// What its traffic status says.
+    pub status: String,
     /// Its verdict.
     pub verdict: String,
 }
@@ -47,18 +47,18 @@ pub struct Group {
     pub rows: Vec<Row>,
 }
 
-/// One figure of all runs.
+/// One metric of all runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// What it is.
     pub name: String,
     /// Its unit; empty for none.
     pub unit: String,
-    /// One a run; `None` where the run has no such figure.
+    /// One a run; `None` where the run has no such metric.
     pub cells: Vec<Option<Cell>>,
 }
 
-/// A figure of one run.
+/// A metric of one run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cell {
     /// As it stands in the run's summary.
@@ -74,7 +74,7 @@ pub struct Cell {
     pub apart_sigmas: Option<f64>,
 }
 
-const FIGURES: [(&str, &str, &str, Digits); 18] = [
+const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("postures", "/counts/postures", "", Digits::Whole),
     ("matches", "/counts/matches", "", Digits::Whole),
     ("observations of tracks", "/counts/observations", "", Digits::Whole),
@@ -108,10 +108,10 @@ impl Comparison {
             rig: run.text("/rig").to_owned(),
             dataset: run.data.as_ref().map(|data| data.dataset.clone()),
             another_arm: another_arm.clone(),
-            light: judge(run).light.word().to_owned(),
+            status: judge(run).status.word().to_owned(),
             verdict: run.text("/verdict").to_owned(),
         });
-        let figures = FIGURES.iter().map(|(name, pointer, unit, digits)| Row {
+        let metrics = METRICS.iter().map(|(name, pointer, unit, digits)| Row {
             name: (*name).to_owned(),
             unit: (*unit).to_owned(),
             cells: runs
@@ -122,8 +122,8 @@ impl Comparison {
                 })
                 .collect(),
         });
-        let figures = figures.filter(|row| row.cells.iter().any(Option::is_some)).collect();
-        let mut groups = vec![Group { title: "figure".to_owned(), rows: figures }];
+        let metrics = metrics.filter(|row| row.cells.iter().any(Option::is_some)).collect();
+        let mut groups = vec![Group { title: "metric".to_owned(), rows: metrics }];
         if !parameters.is_empty() {
             groups.push(Group { title: "parameter".to_owned(), rows: parameters });
         }
@@ -226,7 +226,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
                 name.clone(),
                 escaped(&run.rig),
                 escaped(run.dataset.as_deref().unwrap_or("not told")),
-                format!("<strong>{}</strong>", escaped(&run.light)),
+                format!("<strong>{}</strong>", escaped(&run.status)),
                 escaped(&run.verdict),
             ]
         })
@@ -239,12 +239,12 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
         html: table(
             "words",
             "What each run says of itself",
-            &["Run", "Rig", "Data set", "Light", "Verdict"],
+            &["Run", "Rig", "Data set", "Status", "Verdict"],
             &verdicts,
         ) + &notes,
         charts: Vec::new(),
     }];
-    let titles = [("figures", "Figures"), ("parameters", "Parameters")];
+    let titles = [("metrics", "Figures"), ("parameters", "Parameters")];
     for (group, (id, title)) in comparison.groups.iter().zip(titles) {
         let head: Vec<&str> =
             std::iter::once(title).chain(names.iter().map(String::as_str)).chain(std::iter::once("Unit")).collect();
@@ -256,7 +256,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is said.",
         };
         let mut html = table("numbers", caption, &head, &rows);
-        let charts: Vec<Chart> = if id == "figures" {
+        let charts: Vec<Chart> = if id == "metrics" {
             residual_chart(runs, comparison).into_iter().collect()
         } else {
             changes_chart(comparison).into_iter().collect()

@@ -66,8 +66,8 @@ fn without_tags(html: &str) -> String {
 }
 
 /// A bar in a table cell; `share` of its width, 0 to 1.
-pub(crate) fn bar(share: f64, class: &str) -> String {
-    let percent = 100.0 * share.clamp(0.0, 1.0);
+pub(crate) fn bar(fraction: f64, class: &str) -> String {
+    let percent = 100.0 * fraction.clamp(0.0, 1.0);
     format!("<span class=\"bar {class}\" aria-hidden=\"true\"><span style=\"width:{percent:.1}%\"></span></span>")
 }
 

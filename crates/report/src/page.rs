@@ -1,7 +1,7 @@
 //! The page: its order, its style and its script.
 
 use crate::RunResult;
-use crate::figures::{Chart, charts_json, plotly_js};
+use crate::charts::{Chart, charts_json, plotly_js};
 use crate::html::{escaped, script_json};
 use crate::sections;
 
@@ -61,8 +61,8 @@ pub(crate) fn assemble(title: &str, header: &str, parts: &[Section], scene: &str
         .collect();
     let charts: Vec<Chart> = parts.iter().flat_map(|part| part.charts.iter().cloned()).collect();
     let theme = script_json(&serde_json::json!({
-        "nominal": crate::figures::NOMINAL,
-        "calibrated": crate::figures::CALIBRATED,
+        "nominal": crate::charts::NOMINAL,
+        "calibrated": crate::charts::CALIBRATED,
     }));
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

@@ -41,17 +41,17 @@ impl RunResult {
         Ok(RunResult { name: name.unwrap_or_else(|| folder.display().to_string()), summary, data: data(folder)? })
     }
 
-    /// A figure of the summary by its JSON pointer; `None` where it was not measured: without matches there is no distance to a line,
+    /// A metric of the summary by its JSON pointer; `None` where it was not measured: without matches there is no distance to a line,
     /// though the summary holds the 0 of an empty list.
-    pub fn figure(&self, pointer: &str) -> Option<&Value> {
+    pub fn metric(&self, pointer: &str) -> Option<&Value> {
         let of_matches = pointer.starts_with("/calibration/epipolar_");
         let no_matches = || self.summary.pointer("/counts/matches").and_then(Value::as_u64) == Some(0);
         self.summary.pointer(pointer).filter(|value| value.is_number() && !(of_matches && no_matches()))
     }
 
-    /// A figure as a number.
+    /// A metric as a number.
     pub fn number(&self, pointer: &str) -> Option<f64> {
-        self.figure(pointer)?.as_f64()
+        self.metric(pointer)?.as_f64()
     }
 
     /// A text of the summary by its JSON pointer; empty where there is none.
@@ -101,7 +101,7 @@ fn check(data: &ReportData) -> Result<(), String> {
     same("residuals.histogram.before", histogram.before.len() + 1, histogram.edges_px.len())?;
     same("residuals.histogram.after", histogram.after.len() + 1, histogram.edges_px.len())?;
     let indices = data.residuals.pairs.iter().flat_map(|pair| [pair.a, pair.b]);
-    for index in indices.chain(data.pictures.iter().flat_map(|picture| [picture.a, picture.b])) {
+    for index in indices.chain(data.images.iter().flat_map(|image| [image.a, image.b])) {
         if index >= postures {
             return Err(format!("posture {index} is named, and there are {postures}"));
         }
@@ -112,16 +112,16 @@ fn check(data: &ReportData) -> Result<(), String> {
             ("map.calibrated_m", &map.calibrated_m, 12),
             ("map.colors", &map.colors, 3),
             ("map.postures", &map.postures, 2),
-            ("map.gaps_nominal_mm", &map.gaps_nominal_mm, 4),
-            ("map.gaps_calibrated_mm", &map.gaps_calibrated_mm, 4),
+            ("map.point_to_plane_nominal_mm", &map.point_to_plane_nominal_mm, 4),
+            ("map.point_to_plane_calibrated_mm", &map.point_to_plane_calibrated_mm, 4),
         ];
         for (what, packed, bytes) in arrays {
             let got = packed.bytes().ok_or_else(|| format!("{what} is no base64"))?.len();
             same(what, got, map.points * bytes)?;
         }
     }
-    for picture in &data.pictures {
-        if picture.images.iter().any(|image| image.jpeg.bytes().is_none()) {
+    for image in &data.images {
+        if image.images.iter().any(|image| image.jpeg.bytes().is_none()) {
             return Err("a picture is no base64".to_owned());
         }
     }

@@ -8,10 +8,10 @@ use skclam_kinematics::{JointKind, SerialChain};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CorrectionsTable {
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    gear_sin_deg: Vec<f64>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    gear_cos_deg: Vec<f64>,
+    #[serde(default, alias = "gear_sin_deg", skip_serializing_if = "Vec::is_empty")]
+    transmission_sin_deg: Vec<f64>,
+    #[serde(default, alias = "gear_cos_deg", skip_serializing_if = "Vec::is_empty")]
+    transmission_cos_deg: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     compliance_deg_per_m: Vec<f64>,
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -30,8 +30,8 @@ impl CorrectionsTable {
             if values.iter().all(is_zero) { Vec::new() } else { values }
         };
         (!corrections.is_none()).then(|| CorrectionsTable {
-            gear_sin_deg: list(|joint| joint.gear_sin),
-            gear_cos_deg: list(|joint| joint.gear_cos),
+            transmission_sin_deg: list(|joint| joint.transmission_sin),
+            transmission_cos_deg: list(|joint| joint.transmission_cos),
             compliance_deg_per_m: list(|joint| joint.compliance),
             time_offset_s: corrections.time_offset_s,
         })
@@ -42,8 +42,8 @@ impl CorrectionsTable {
         let key = |name: &str| format!("joint_corrections.{name}");
         let joints = arm.map(SerialChain::joints).unwrap_or_default();
         let lists = [
-            ("gear_sin_deg", &self.gear_sin_deg),
-            ("gear_cos_deg", &self.gear_cos_deg),
+            ("transmission_sin_deg", &self.transmission_sin_deg),
+            ("transmission_cos_deg", &self.transmission_cos_deg),
             ("compliance_deg_per_m", &self.compliance_deg_per_m),
         ];
         for (name, list) in lists {
@@ -52,7 +52,7 @@ impl CorrectionsTable {
                 return Err((key(name), expected));
             }
             for (value, joint) in list.iter().zip(joints) {
-                // A degree is far beyond any gear; radians where degrees are meant are small and pass.
+                // A degree is far beyond any transmission error; radians where degrees are meant are small and pass.
                 if !(-5.0..=5.0).contains(value) {
                     return Err((key(name), format!("{value} given; a number from -5 to 5 is needed")));
                 }
@@ -70,8 +70,8 @@ impl CorrectionsTable {
         let corrections = JointCorrections {
             joints: (0..joints.len())
                 .map(|joint| JointCorrection {
-                    gear_sin: at(&self.gear_sin_deg, joint),
-                    gear_cos: at(&self.gear_cos_deg, joint),
+                    transmission_sin: at(&self.transmission_sin_deg, joint),
+                    transmission_cos: at(&self.transmission_cos_deg, joint),
                     compliance: at(&self.compliance_deg_per_m, joint),
                 })
                 .collect(),
@@ -99,13 +99,17 @@ mod tests {
         assert!(!rig.to_toml().unwrap().contains("joint_corrections"));
         rig.joint_corrections.joints = vec![JointCorrection::default(); 6];
         assert!(!rig.to_toml().unwrap().contains("joint_corrections"), "zeros are no corrections");
-        rig.joint_corrections.joints[2] = JointCorrection { gear_sin: 1e-3, gear_cos: 0.0, compliance: -2e-4 };
+        rig.joint_corrections.joints[2] =
+            JointCorrection { transmission_sin: 1e-3, transmission_cos: 0.0, compliance: -2e-4 };
         rig.joint_corrections.time_offset_s = 0.012;
         let text = rig.to_toml().unwrap();
-        assert!(text.contains("gear_sin_deg") && !text.contains("gear_cos_deg"), "{text}");
+        assert!(text.contains("transmission_sin_deg") && !text.contains("transmission_cos_deg"), "{text}");
         let back = Rig::from_toml(&text, "rig.toml").unwrap().joint_corrections;
         for (back, was) in back.joints.iter().zip(&rig.joint_corrections.joints) {
-            assert!((back.gear_sin - was.gear_sin).abs() < 1e-16 && (back.compliance - was.compliance).abs() < 1e-16);
+            assert!(
+                (back.transmission_sin - was.transmission_sin).abs() < 1e-16
+                    && (back.compliance - was.compliance).abs() < 1e-16
+            );
         }
         assert_eq!((back.joints.len(), back.time_offset_s), (6, 0.012));
     }
@@ -113,9 +117,9 @@ mod tests {
     #[test]
     fn errors_name_the_key() {
         let wrong = [
-            ("gear_sin_deg = [0.1, 0.2]", "joint_corrections.gear_sin_deg"),
+            ("transmission_sin_deg = [0.1, 0.2]", "joint_corrections.transmission_sin_deg"),
             ("compliance_deg_per_m = [0, 0, nan, 0, 0, 0]", "joint_corrections.compliance_deg_per_m"),
-            ("gear_cos_deg = [0, 0, 50, 0, 0, 0]", "from -5 to 5"),
+            ("transmission_cos_deg = [0, 0, 50, 0, 0, 0]", "from -5 to 5"),
             ("time_offset_s = inf", "joint_corrections.time_offset_s"),
             ("backlash_deg = [0.1]", "backlash_deg"),
         ];
@@ -123,6 +127,14 @@ mod tests {
             let message = with(table).unwrap_err().to_string();
             assert!(message.contains(named), "{table}: {message}");
         }
-        assert!(with("gear_sin_deg = [0, 0, 0, 0, 0, 0]").unwrap().joint_corrections.joints.is_empty());
+        assert!(with("transmission_sin_deg = [0, 0, 0, 0, 0, 0]").unwrap().joint_corrections.joints.is_empty());
+    }
+
+    #[test]
+    fn earlier_keys_are_read() {
+        let rig = with("gear_sin_deg = [0, 0.1, 0, 0, 0, 0]\ngear_cos_deg = [0.2, 0, 0, 0, 0, 0]").unwrap();
+        let joints = &rig.joint_corrections.joints;
+        assert!((joints[1].transmission_sin.to_degrees() - 0.1).abs() < 1e-12);
+        assert!((joints[0].transmission_cos.to_degrees() - 0.2).abs() < 1e-12);
     }
 }

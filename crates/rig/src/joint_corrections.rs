@@ -6,14 +6,14 @@ use crate::{Posture, PostureState};
 use nalgebra::Vector3;
 use skclam_kinematics::{KinematicsError, SerialChain};
 
-/// Where one joint truly stands: `q + gear_sin sin(q) + gear_cos cos(q) + compliance * lever`.
+/// Where one joint truly stands: `q + transmission_sin sin(q) + transmission_cos cos(q) + compliance * gravity_arm`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct JointCorrection {
     /// Radians.
-    pub gear_sin: f64,
+    pub transmission_sin: f64,
     /// Radians.
-    pub gear_cos: f64,
-    /// Radians a metre of lever arm.
+    pub transmission_cos: f64,
+    /// Radians a metre of gravity_arm arm.
     pub compliance: f64,
 }
 
@@ -34,7 +34,7 @@ pub struct JointReading {
     /// Its change a second.
     pub rate: f64,
     /// Torque about the axis of a unit weight at the flange, metres; the base's z points up.
-    pub lever: f64,
+    pub gravity_arm: f64,
 }
 
 /// The readings of a posture; a joint whose rate is not known stands still.
@@ -47,8 +47,8 @@ pub fn joint_readings(arm: &SerialChain, values: &[f64], rates: &[f64]) -> Resul
     let reading = |(joint, &value): (usize, &f64)| {
         let twist = jacobian.by_joint[joint];
         let omega = Vector3::new(twist[3], twist[4], twist[5]);
-        let lever = -(twist[2] + omega.cross(&flange).z);
-        JointReading { value, rate: rates.get(joint).copied().unwrap_or(0.0), lever }
+        let gravity_arm = -(twist[2] + omega.cross(&flange).z);
+        JointReading { value, rate: rates.get(joint).copied().unwrap_or(0.0), gravity_arm }
     };
     Ok(values.iter().enumerate().map(reading).collect())
 }
@@ -88,8 +88,8 @@ impl JointCorrections {
     pub fn applied(&self, readings: &[JointReading]) -> Vec<f64> {
         let correct = |(joint, reading): (usize, &JointReading)| {
             let own = self.of(joint);
-            let gear = own.gear_sin * reading.value.sin() + own.gear_cos * reading.value.cos();
-            reading.value + gear + own.compliance * reading.lever + self.time_offset_s * reading.rate
+            let gear = own.transmission_sin * reading.value.sin() + own.transmission_cos * reading.value.cos();
+            reading.value + gear + own.compliance * reading.gravity_arm + self.time_offset_s * reading.rate
         };
         readings.iter().enumerate().map(correct).collect()
     }
@@ -100,12 +100,12 @@ impl JointCorrections {
     /// What the arm refuses of the joint values.
     pub fn encoder_values(&self, arm: &SerialChain, values: &[f64]) -> Result<Vec<f64>, KinematicsError> {
         // Corrections are small and smooth, so that each round gains a factor of about their size.
-        const MOST_ROUNDS: usize = 30;
+        const MAX_ROUNDS: usize = 30;
         let mut encoders = values.to_vec();
         if self.joints.is_empty() {
             return Ok(encoders);
         }
-        for _ in 0..MOST_ROUNDS {
+        for _ in 0..MAX_ROUNDS {
             let reached = self.applied(&joint_readings(arm, &encoders, &[])?);
             let mut largest = 0f64;
             for ((encoder, reached), wanted) in encoders.iter_mut().zip(reached).zip(values) {
@@ -126,7 +126,11 @@ mod tests {
     use crate::builtin_rig;
 
     fn corrections() -> JointCorrections {
-        let one = |k: f64| JointCorrection { gear_sin: 1e-3 * k, gear_cos: -5e-4, compliance: 2e-3 / (k + 1.0) };
+        let one = |k: f64| JointCorrection {
+            transmission_sin: 1e-3 * k,
+            transmission_cos: -5e-4,
+            compliance: 2e-3 / (k + 1.0),
+        };
         JointCorrections { joints: (0..6).map(|k| one(f64::from(k))).collect(), time_offset_s: 0.0 }
     }
 
@@ -150,15 +154,15 @@ mod tests {
         let arm = rig.robot.as_ref().unwrap();
         let values = [0.0, 0.3, 0.2, 0.0, 0.1, 0.0];
         let readings = joint_readings(arm, &values, &[]).unwrap();
-        assert!(readings[0].lever.abs() < 1e-12);
+        assert!(readings[0].gravity_arm.abs() < 1e-12);
         // By how much the flange sinks as the joint turns.
         let height = |change: f64| {
             let mut moved = values;
             moved[1] += change;
             arm.base_from_flange(&moved).unwrap().translation.vector.z
         };
-        assert!((readings[1].lever + (height(1e-6) - height(-1e-6)) / 2e-6).abs() < 1e-8);
-        assert!(readings[1].lever.abs() > 0.05);
+        assert!((readings[1].gravity_arm + (height(1e-6) - height(-1e-6)) / 2e-6).abs() < 1e-8);
+        assert!(readings[1].gravity_arm.abs() > 0.05);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! every joint a short drum about its axis. That fits any convention and any number of joints.
 
 use crate::SimulationError;
-use crate::scene::{Builder, Coat, CuboidCoats, Model, TexelRule, light_on_moving};
+use crate::scene::{Builder, CuboidMaterials, Material, Model, TexelRule, light_on_moving};
 use skclam_geometry::{Isometry3, Point3};
 use skclam_kinematics::{ElementaryMotion, JointKind, SerialChain};
 use skclam_rig::Rig;
@@ -37,8 +37,8 @@ impl ArmBody {
             pieces.push((frame, first, builder.model.faces.len()));
         };
         for (index, joint) in chain.joints().iter().enumerate() {
-            let share = index as f64 / joints.max(2).saturating_sub(1) as f64;
-            let radius = 0.062 - 0.034 * share;
+            let fraction = index as f64 / joints.max(2).saturating_sub(1) as f64;
+            let radius = 0.062 - 0.034 * fraction;
             for (motion_index, (_, motion)) in joint.link.motions(0.0, 0.0).into_iter().enumerate() {
                 let frame = 4 * index + motion_index;
                 let colour = if index % 2 == 0 { BLUE } else { WHITE };
@@ -52,26 +52,30 @@ impl ArmBody {
                     _ => None,
                 };
                 if let Some(end) = along {
-                    let caps = [Some(Coat::Plain(DARK)); 2];
+                    let caps = [Some(Material::Plain(DARK)); 2];
                     piece(frame, &mut builder, &|b| {
-                        b.cylinder(Point3::origin(), end, 0.8 * radius, Coat::Lacquer(colour), caps)
+                        b.cylinder(Point3::origin(), end, 0.8 * radius, Material::Lacquer(colour), caps)
                     });
                 }
                 if matches!(motion, ElementaryMotion::RotateZ(_)) && joint.kind == JointKind::Revolute {
                     let half = 1.15 * radius;
                     let ends = [Point3::new(0.0, 0.0, -half), Point3::new(0.0, 0.0, half)];
-                    let caps = [Some(Coat::Lacquer(DARK)); 2];
-                    piece(frame, &mut builder, &|b| b.cylinder(ends[0], ends[1], radius, Coat::Lacquer(DARK), caps));
+                    let caps = [Some(Material::Lacquer(DARK)); 2];
+                    piece(frame, &mut builder, &|b| {
+                        b.cylinder(ends[0], ends[1], radius, Material::Lacquer(DARK), caps)
+                    });
                 }
             }
         }
         // The camera behind its optical centre, and a bracket to the flange.
         let camera = rig.flange_from_color * Isometry3::translation(0.0, 0.0, -0.03);
-        let dark = CuboidCoats::all(Coat::Plain(DARK));
+        let dark = CuboidMaterials::all(Material::Plain(DARK));
         piece(4 * joints, &mut builder, &|b| b.cuboid(&camera, [0.1, 0.026, 0.022], &dark));
         let seat = camera * Point3::origin();
         if (seat - Point3::origin()).norm() > 0.01 {
-            piece(4 * joints, &mut builder, &|b| b.cylinder(Point3::origin(), seat, 0.01, Coat::Steel, [None, None]));
+            piece(4 * joints, &mut builder, &|b| {
+                b.cylinder(Point3::origin(), seat, 0.01, Material::Steel, [None, None])
+            });
         }
         let (textures, _) = builder.finish(seed, 500_000, false);
         let parts = pieces.into_iter().map(|(frame, first, end)| (frame, extract(&textures, first, end))).collect();

@@ -3,8 +3,8 @@
 //! A walk in joint space: steps of all joints, refused where the arm or the camera would touch something, where the
 //! camera sees too little or too near, or where too little of what it saw one posture before is still in view.
 
-use crate::dice::Dice;
 use crate::scene::RayCaster;
+use crate::scene_rng::SceneRng;
 use crate::{ArmBody, Scene, SimulationError};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -22,15 +22,15 @@ pub struct DiverseOptions {
     /// Standard deviation of a joint's step, degrees (a prismatic joint: as many millimetres).
     pub step_deg: f64,
     /// Least share of what a posture sees that its predecessor saw too.
-    pub least_overlap: f64,
+    pub min_overlap: f64,
     /// Nothing may be nearer to the camera, metres.
     pub clearance_m: f64,
     /// Median distance of what is seen: least and most, metres.
     pub view_distance_m: [f64; 2],
     /// Largest share of the view on plain surfaces.
-    pub most_plain: f64,
+    pub max_plain: f64,
     /// Largest share of the view on the arm itself.
-    pub most_arm: f64,
+    pub max_arm: f64,
 }
 
 impl Default for DiverseOptions {
@@ -39,11 +39,11 @@ impl Default for DiverseOptions {
             seed: 5,
             count: 73,
             step_deg: 28.0,
-            least_overlap: 0.45,
+            min_overlap: 0.45,
             clearance_m: 0.3,
             view_distance_m: [0.6, 2.6],
-            most_plain: 0.3,
-            most_arm: 0.03,
+            max_plain: 0.3,
+            max_arm: 0.03,
         }
     }
 }
@@ -78,7 +78,7 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
             [low.max(-std::f64::consts::PI), high.min(std::f64::consts::PI)]
         })
         .collect();
-    let mut dice = Dice::new(options.seed, 40);
+    let mut rng = SceneRng::new(options.seed, 40);
     let mut postures: Vec<Vec<f64>> = Vec::with_capacity(options.count);
     let mut last: Option<View> = None;
     // Joint 1 drifts, so that the walk goes around the arm and back instead of staying at one wall.
@@ -90,14 +90,14 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
         }
         tries += 1;
         let candidate: Vec<f64> = match postures.last() {
-            None => limits.iter().map(|[low, high]| dice.range(*low, *high)).collect(),
+            None => limits.iter().map(|[low, high]| rng.range(*low, *high)).collect(),
             Some(from) => from
                 .iter()
                 .zip(&limits)
                 .enumerate()
                 .map(|(joint, (value, [low, high]))| {
                     let mean = if joint == 0 { value + drift } else { *value };
-                    let step = mean + options.step_deg.to_radians() * dice.normal();
+                    let step = mean + options.step_deg.to_radians() * rng.normal();
                     // Mirrored at the limits: a walk that is cut there would stick to them.
                     let folded = if step > *high {
                         2.0 * high - step
@@ -123,7 +123,7 @@ pub fn diverse_postures(rig: &Rig, scene: &Scene, options: &DiverseOptions) -> R
                 });
                 visible.count() as f64 / seen.points.len().max(1) as f64
             };
-            if overlap(&view, before) < options.least_overlap || overlap(before, &view) < options.least_overlap {
+            if overlap(&view, before) < options.min_overlap || overlap(before, &view) < options.min_overlap {
                 continue;
             }
         }
@@ -153,7 +153,7 @@ fn check(options: &DiverseOptions) -> Result<(), SimulationError> {
         return bad("step_deg", options.step_deg.to_string(), "more than 0 and at most 360 degrees are needed");
     }
     for (option, value) in
-        [("least_overlap", options.least_overlap), ("most_plain", options.most_plain), ("most_arm", options.most_arm)]
+        [("min_overlap", options.min_overlap), ("max_plain", options.max_plain), ("max_arm", options.max_arm)]
     {
         if !(0.0..=1.0).contains(&value) {
             return bad(option, value.to_string(), "0 to 1 is needed");
@@ -230,7 +230,7 @@ fn acceptable(
     let median = distances[distances.len() / 2];
     let [near, far] = options.view_distance_m;
     let rays = points.len() as f64;
-    if !(near..=far).contains(&median) || plain as f64 > options.most_plain * rays {
+    if !(near..=far).contains(&median) || plain as f64 > options.max_plain * rays {
         return Ok(None);
     }
     // Last, because it is dear: the arm's own body in the view.
@@ -239,7 +239,7 @@ fn acceptable(
         let way = *point - eye;
         own.is_blocked(&(eye + 0.005 * way.normalize()), &way, 1.0)
     });
-    let seen = hidden.count() as f64 <= options.most_arm * rays;
+    let seen = hidden.count() as f64 <= options.max_arm * rays;
     Ok(seen.then_some(View { base_from_color, points }))
 }
 

@@ -6,7 +6,6 @@
 //! Everything is drawn from seeds: the same configuration gives the same bytes, on any number of threads.
 
 mod arm_body;
-mod dice;
 mod diverse_postures;
 mod error;
 mod laser;
@@ -15,6 +14,7 @@ mod paper_postures;
 mod perturb;
 mod render;
 mod scene;
+mod scene_rng;
 mod simulate;
 
 pub use arm_body::ArmBody;

@@ -2,7 +2,7 @@
 //! that and on the image's number, not on what was drawn before.
 
 use crate::SimulationError;
-use crate::dice::Dice;
+use crate::scene_rng::SceneRng;
 use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -58,10 +58,10 @@ impl ColorNoiseOptions {
         if self.sensor_sigma > 0.0 {
             self.add_sensor_noise(image, index);
         }
-        let mut dice = Dice::new(self.seed, 2 * index);
+        let mut rng = SceneRng::new(self.seed, 2 * index);
         for _ in 0..self.colored_pixels {
-            let (x, y) = (dice.below(image.width() as usize) as u32, dice.below(image.height() as usize) as u32);
-            let [r, g, b, _] = dice.bits().to_le_bytes();
+            let (x, y) = (rng.below(image.width() as usize) as u32, rng.below(image.height() as usize) as u32);
+            let [r, g, b, _] = rng.bits().to_le_bytes();
             image.put_pixel(x, y, image::Rgb([r, g, b]));
         }
         if self.blur_size > 1 {
@@ -75,9 +75,9 @@ impl ColorNoiseOptions {
         let scale = (self.sensor_sigma / (4.0f64 * 65535.0 / 12.0).sqrt()) as f32;
         let row_bytes = 3 * image.width() as usize;
         image.par_chunks_mut(row_bytes).enumerate().for_each(|(row, bytes)| {
-            let mut dice = Dice::new(self.seed ^ ((row as u64 + 1) << 32), 2 * index + 1);
+            let mut rng = SceneRng::new(self.seed ^ ((row as u64 + 1) << 32), 2 * index + 1);
             for value in bytes {
-                let sum: u32 = dice.bits().to_le_bytes().into_iter().map(u32::from).sum();
+                let sum: u32 = rng.bits().to_le_bytes().into_iter().map(u32::from).sum();
                 let noisy = f32::from(*value) + scale * (sum as f32 - 510.0);
                 *value = (noisy + 0.5) as u8;
             }
@@ -153,7 +153,7 @@ pub struct DepthNoiseOptions {
     /// k of `sigma = k z^2`, per metre: the error of triangulation.
     pub sigma_per_square_metre: f64,
     /// Share of the variance that neighbours have in common, 0 to 1.
-    pub correlated_share: f64,
+    pub correlated_fraction: f64,
     /// Distance over which it changes, pixels.
     pub correlation_px: u32,
     /// A step to a neighbour of more than this share of the depth is an edge ...
@@ -171,7 +171,7 @@ impl Default for DepthNoiseOptions {
         DepthNoiseOptions {
             seed: 12,
             sigma_per_square_metre: 0.003,
-            correlated_share: 0.5,
+            correlated_fraction: 0.5,
             correlation_px: 6,
             edge_step: 0.03,
             edge_hole_probability: 0.85,
@@ -194,15 +194,15 @@ impl DepthNoiseOptions {
     }
 
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        let share = |option, value: f64| {
+        let fraction = |option, value: f64| {
             if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(out_of_range(option, value, "0 to 1 is needed")) }
         };
         let positive = |option, value: f64| {
             let fine = value >= 0.0 && value.is_finite();
             if fine { Ok(()) } else { Err(out_of_range(option, value, "a finite number of at least 0 is needed")) }
         };
-        share("correlated_share", self.correlated_share)?;
-        share("edge_hole_probability", self.edge_hole_probability)?;
+        fraction("correlated_fraction", self.correlated_fraction)?;
+        fraction("edge_hole_probability", self.edge_hole_probability)?;
         positive("sigma_per_square_metre", self.sigma_per_square_metre)?;
         positive("edge_step", self.edge_step)?;
         positive("nearest_m", self.nearest_m)?;
@@ -224,15 +224,15 @@ impl DepthNoiseOptions {
         let cell = f64::from(self.correlation_px);
         let columns = (f64::from(width) / cell).ceil() as usize + 2;
         let rows = (f64::from(height) / cell).ceil() as usize + 2;
-        let mut dice = Dice::new(self.seed, 2 * index);
-        let grid: Vec<f64> = (0..columns * rows).map(|_| dice.normal()).collect();
-        let mut dice = Dice::new(self.seed, 2 * index + 1);
-        let (own, common) = ((1.0 - self.correlated_share).sqrt(), self.correlated_share.sqrt());
+        let mut rng = SceneRng::new(self.seed, 2 * index);
+        let grid: Vec<f64> = (0..columns * rows).map(|_| rng.normal()).collect();
+        let mut rng = SceneRng::new(self.seed, 2 * index + 1);
+        let (own, common) = ((1.0 - self.correlated_fraction).sqrt(), self.correlated_fraction.sqrt());
         let mut depth_m = Vec::with_capacity(width as usize * height as usize);
         for y in 0..height {
             for x in 0..width {
                 // The same number of draws a pixel, whatever is seen: a hole here changes no noise there.
-                let (draw, hole) = (dice.normal(), dice.chance(self.edge_hole_probability));
+                let (draw, hole) = (rng.normal(), rng.chance(self.edge_hole_probability));
                 let Some(z) = exact.at(x, y).map(f64::from) else {
                     depth_m.push(0.0);
                     continue;
@@ -321,12 +321,12 @@ impl EncoderNoiseOptions {
         index: u64,
     ) -> Result<Vec<f64>, SimulationError> {
         self.check()?;
-        let mut dice = Dice::new(self.seed, index);
+        let mut rng = SceneRng::new(self.seed, index);
         let sigma = |joint: &skclam_kinematics::Joint| match joint.kind {
             skclam_kinematics::JointKind::Revolute => self.sigma_deg.to_radians(),
             skclam_kinematics::JointKind::Prismatic => 1e-3 * self.sigma_mm,
         };
-        Ok(joint_values.iter().zip(chain.joints()).map(|(value, joint)| value + sigma(joint) * dice.normal()).collect())
+        Ok(joint_values.iter().zip(chain.joints()).map(|(value, joint)| value + sigma(joint) * rng.normal()).collect())
     }
 }
 

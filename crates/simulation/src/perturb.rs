@@ -1,7 +1,7 @@
 //! True arms: nominal ones with errors.
 
 use crate::SimulationError;
-use crate::dice::Dice;
+use crate::scene_rng::SceneRng;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::{LinkForm, ParameterId, ParameterKind, SerialChain};
@@ -71,16 +71,16 @@ pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> 
         }
     }
     let mut truth = nominal.clone();
-    let mut dice = Dice::new(seed, 30);
+    let mut rng = SceneRng::new(seed, 30);
     let chain = truth.robot.as_mut().ok_or(SimulationError::NoRobot)?;
     for id in chain.parameter_ids() {
         let sigma = if id.kind.is_angle() { sigmas.angle_deg.to_radians() } else { 1e-3 * sigmas.length_mm };
-        let value = chain.parameter(id).unwrap_or_default() + sigma * dice.normal();
+        let value = chain.parameter(id).unwrap_or_default() + sigma * rng.normal();
         if !defines_the_base(id, chain) {
             chain.set_parameter(id, value)?;
         }
     }
-    let mut draw = |sigma: f64| Vector3::from_fn(|_, _| sigma * dice.normal());
+    let mut draw = |sigma: f64| Vector3::from_fn(|_, _| sigma * rng.normal());
     let turn = UnitQuaternion::from_scaled_axis(draw(sigmas.mount_rotation_deg.to_radians()));
     let shift = draw(1e-3 * sigmas.mount_translation_mm);
     let mount = &mut truth.flange_from_color;

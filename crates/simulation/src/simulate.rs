@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn gears_of_the_rig_turn_the_true_arm() {
         let mut rig = small_rig();
-        let one = skclam_rig::JointCorrection { gear_sin: 2e-3, gear_cos: 1e-3, compliance: 1e-3 };
+        let one = skclam_rig::JointCorrection { transmission_sin: 2e-3, transmission_cos: 1e-3, compliance: 1e-3 };
         rig.joint_corrections.joints = vec![one; 6];
         let simulation =
             Simulation::new(&rig, &SimulationConfig { perturbation: Perturbation::None, ..config() }).unwrap();

@@ -140,7 +140,7 @@ fn report(
         camera.orientation_deg.mean,
         errors.len(),
         found.noise.pixel,
-        1e3 * found.noise.depth_per_m.unwrap_or(f64::NAN)
+        1e3 * found.noise.depth_sigma_per_m2.unwrap_or(f64::NAN)
     );
     Ok(())
 }

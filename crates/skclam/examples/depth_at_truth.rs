@@ -42,7 +42,7 @@ fn inverse_error(read_m: f64, true_m: f64) -> f64 {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (folder, dataset) = truth::dataset()?;
     let truth = Truth::read(&folder)?;
-    let config = Config { max_sightings: None, ..Config::default() };
+    let config = Config { max_observations: None, ..Config::default() };
     sensor(&dataset, &truth)?;
     let images = extract_features(&dataset, &config, &Silent)?;
     let chosen = pairs_to_match(&images, &dataset.rig.color, &config);

@@ -45,7 +45,7 @@ impl Residual {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (folder, dataset) = truth::dataset()?;
     let truth = Truth::read(&folder)?;
-    let config = Config { max_sightings: None, ..Config::default() };
+    let config = Config { max_observations: None, ..Config::default() };
     let images = extract_features(&dataset, &config, &Silent)?;
     let chosen = pairs_to_match(&images, &dataset.rig.color, &config);
     let pairs = match_pairs(&dataset, &images, chosen, &config, &Silent)?;

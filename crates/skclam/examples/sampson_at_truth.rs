@@ -4,7 +4,7 @@
 //! folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml` and `truth/trajectory.txt`.
 //!
 //! The pipeline's own stages run as in `skclam run`: features, guided matching with all filters, tracks; then the
-//! positions of the sightings are taken as detected and as refined. Only matches of tracks count; those that refinement
+//! positions of the observations are taken as detected and as refined. Only matches of tracks count; those that refinement
 //! rejects are in the first line alone.
 
 use skclam::calibration::{Correspondences, PairMatch};
@@ -31,7 +31,7 @@ fn sampson(data: &Correspondences, poses: &[Isometry3], camera: &PinholeCamera) 
         distances.extend(pair.matches.iter().map(of));
     }
     distances.sort_by(f64::total_cmp);
-    let at = |share: f64| distances.get((distances.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+    let at = |fraction: f64| distances.get((distances.len() as f64 * fraction) as usize).copied().unwrap_or(f64::NAN);
     (distances.len(), [at(0.25), at(0.5), at(0.9)])
 }
 
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if poses.len() != dataset.len() {
         return Err(format!("{} true poses for {} postures", poses.len(), dataset.len()).into());
     }
-    let config = Config { max_sightings: None, ..Config::default() };
+    let config = Config { max_observations: None, ..Config::default() };
     let images = extract_features(&dataset, &config, &Silent)?;
     let chosen = pairs_to_match(&images, &dataset.rig.color, &config);
     let pairs = match_pairs(&dataset, &images, chosen, &config, &Silent)?;

@@ -116,8 +116,8 @@ struct ExportedJson {
 /// What the joints do beside their encoders, one number a joint.
 #[derive(Debug, Serialize)]
 struct ExportedCorrections {
-    gear_sin_deg: Vec<f64>,
-    gear_cos_deg: Vec<f64>,
+    transmission_sin_deg: Vec<f64>,
+    transmission_cos_deg: Vec<f64>,
     compliance_deg_per_m: Vec<f64>,
     time_offset_s: f64,
 }
@@ -126,8 +126,8 @@ impl ExportedCorrections {
     fn new(corrections: &JointCorrections) -> Self {
         let list = |of: fn(&JointCorrection) -> f64| corrections.joints.iter().map(|j| of(j).to_degrees()).collect();
         ExportedCorrections {
-            gear_sin_deg: list(|joint| joint.gear_sin),
-            gear_cos_deg: list(|joint| joint.gear_cos),
+            transmission_sin_deg: list(|joint| joint.transmission_sin),
+            transmission_cos_deg: list(|joint| joint.transmission_cos),
             compliance_deg_per_m: list(|joint| joint.compliance),
             time_offset_s: corrections.time_offset_s,
         }

@@ -1,4 +1,4 @@
-//! The paper's experiments repeated: its Tables 1, 2 and 3 and the figures of Fig. 8, the paper's values beside ours.
+//! The paper's experiments repeated: its Tables 1, 2 and 3 and the metrics of Fig. 8, the paper's values beside ours.
 
 use crate::evaluation::{Evaluation, Statistics};
 use crate::summary::{StageSeconds, Summary};
@@ -38,7 +38,7 @@ pub struct Trial {
     pub preset: String,
     /// Whether the images carry the paper's noise.
     pub noise: bool,
-    /// The run's own figures.
+    /// The run's own metrics.
     pub summary: Summary,
     /// Errors against the truth.
     pub evaluation: Evaluation,

@@ -81,9 +81,9 @@ pub fn write_robot_recording(
                 images(&mut file, dataset, at, begin + IMAGE_AFTER_S)?;
                 images_taken = true;
             }
-            let share = ((after - STAND_S) / DRIVE_S).max(0.0);
+            let fraction = ((after - STAND_S) / DRIVE_S).max(0.0);
             let values: Vec<f64> = match next {
-                Some(next) if share > 0.0 => here.iter().zip(*next).map(|(a, b)| a + share * (b - a)).collect(),
+                Some(next) if fraction > 0.0 => here.iter().zip(*next).map(|(a, b)| a + fraction * (b - a)).collect(),
                 _ => here.to_vec(),
             };
             file.write("/joint_states", begin + after, JOINT_STATE, &joint_state(begin + after, &names, &values))?;

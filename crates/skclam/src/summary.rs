@@ -1,8 +1,8 @@
-//! `summary.json`: every figure of a run that a person or a script may want. Units are in the names.
+//! `summary.json`: every metric of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    BoardSummary, CameraFixedSummary, Cause, Config, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
-    PoseSigmaSummary, Reason, Scale, SurfaceAgreement, TrackSummary, VerdictCase, VerdictGrade,
+    BoardSummary, Cause, CheckResult, Config, EgoMaskSummary, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
+    PoseSigmaSummary, Scale, Status, SurfaceAgreement, TrackSummary, VerdictCase,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -20,7 +20,7 @@ pub struct Summary {
     /// The verdict in one sentence.
     pub verdict: String,
     /// The worst that any of the checks calls for.
-    pub grade: VerdictGrade,
+    pub status: Status,
     /// The case of the verdict.
     pub case: VerdictCase,
     /// The numbers that it follows from.
@@ -28,7 +28,7 @@ pub struct Summary {
     /// What does not fit, by name, the likeliest first.
     pub causes: Vec<Cause>,
     /// What was looked at, worst first.
-    pub reasons: Vec<Reason>,
+    pub checks: Vec<CheckResult>,
     /// Where lengths come from.
     pub scale: Scale,
     /// The rig's name.
@@ -42,7 +42,7 @@ pub struct Summary {
     /// Keypoints of each image.
     pub keypoints: Vec<usize>,
     /// What moves with the camera; `null` where it was not looked for.
-    pub camera_fixed: Option<CameraFixedSummary>,
+    pub ego_mask: Option<EgoMaskSummary>,
     /// How tracks were built; `null` for pairs alone.
     pub tracks: Option<TrackSummary>,
     /// The board; `null` where the rig has none.
@@ -125,7 +125,7 @@ pub struct CalibrationSummary {
     /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that were not refined).
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2`, 1/m.
-    pub depth_sigma_per_m: Option<f64>,
+    pub depth_sigma_per_m2: Option<f64>,
     /// Sigma of the joint deviations, degrees.
     pub joint_deviation_sigma_deg: Option<f64>,
     /// Part of the correspondences that do not fit.
@@ -222,10 +222,10 @@ impl CalibrationSummary {
             condition_number: identifiability.map(|found| found.condition_number).filter(|number| number.is_finite()),
             observability: identifiability.map(|found| found.observability),
             not_identifiable: identifiability
-                .map(|found| found.unseen.iter().map(|direction| direction.reason.clone()).collect())
+                .map(|found| found.unobservable.iter().map(|direction| direction.reason.clone()).collect())
                 .unwrap_or_default(),
             pixel_sigma: calibration.noise.pixel,
-            depth_sigma_per_m: calibration.noise.depth_per_m,
+            depth_sigma_per_m2: calibration.noise.depth_sigma_per_m2,
             joint_deviation_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
             outlier_fraction: calibration.noise.outlier_fraction,
             termination: calibration.termination,

@@ -1,6 +1,6 @@
 //! A real arm and a real checkerboard: what the corners say before and after, and on postures that were held out.
 //!
-//! `cargo test --release -p skclam --test real_board -- --nocapture` prints the figures.
+//! `cargo test --release -p skclam --test real_board -- --nocapture` prints the metrics.
 
 use skclam::calibration::{
     Calibration, Correspondences, Model, PriorGroup, Rigs, aligned_positions, board_residuals, default_sigma,

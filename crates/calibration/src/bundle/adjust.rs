@@ -1,6 +1,6 @@
 //! One descent of everything that moves, and the covariance at its end.
 
-use crate::bundle::noise::Balance;
+use crate::bundle::noise::LossCorrection;
 use crate::bundle::observations::Observations;
 use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::reduced::{Chunk, corner_cost, follow, reduce, track_chunks, track_cost};
@@ -8,10 +8,10 @@ use crate::bundle::residuals::{ResidualSize, residual_sizes};
 use crate::bundle::start::{place_board, triangulate_all};
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
+use crate::camera_kinematics::CameraKinematics;
 use crate::levenberg_marquardt::{
-    Descent, DescentLimits, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
 };
-use crate::motion::Motion;
 use crate::prior::Priors;
 use crate::{CalibrationError, Loss, Model, Parameter};
 use nalgebra::{DMatrix, DVector};
@@ -26,7 +26,7 @@ const MEANINGLESS_SIGMAS: f64 = 0.02;
 /// All that a descent needs besides the state.
 pub(crate) struct Adjustment<'a> {
     pub nominal: &'a Rig,
-    pub motion: &'a Motion,
+    pub motion: &'a CameraKinematics,
     pub observations: &'a Observations,
     pub parameters: &'a [Parameter],
     pub priors: &'a Priors,
@@ -35,7 +35,7 @@ pub(crate) struct Adjustment<'a> {
     /// What the errors of single postures consist of.
     pub errors: &'a PostureErrorModel,
     /// How the loss stands beside the prior of the posture errors.
-    pub balance: Balance,
+    pub balance: LossCorrection,
     /// A parameter that does not move.
     pub held: Option<usize>,
 }
@@ -85,7 +85,7 @@ impl Adjustment<'_> {
     }
 
     /// Descends until a step gains nothing that means anything.
-    pub(crate) fn descend(&self, state: State, max_iterations: usize) -> Result<Descent<State>, CalibrationError> {
+    pub(crate) fn descend(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
         let chunks = self.chunks();
         let cost = self.cost(&state, &chunks);
         let unknowns = self.unknowns(&state);
@@ -103,15 +103,15 @@ impl Adjustment<'_> {
             let columns = unknowns.columns(self.motion, state)?;
             let (system, eliminated) =
                 reduce(self.observations, &chunks, &view, &state.points, board.as_ref(), shared, damping);
-            let (mut information, mut descent) = unknowns.assemble(&system, &columns);
-            self.priors.add_to(self.nominal, &state.model, self.parameters, &mut information, &mut descent);
-            self.add_posture_error_prior(&unknowns, state, &mut information, &mut descent);
+            let (mut normal, mut rhs) = unknowns.assemble(&system, &columns);
+            self.priors.add_to(self.nominal, &state.model, self.parameters, &mut normal, &mut rhs);
+            self.add_posture_error_prior(&unknowns, state, &mut normal, &mut rhs);
             if let Some(held) = self.held {
-                information.row_mut(held).fill(0.0);
-                information.column_mut(held).fill(0.0);
-                descent[held] = 0.0;
+                normal.row_mut(held).fill(0.0);
+                normal.column_mut(held).fill(0.0);
+                rhs[held] = 0.0;
             }
-            let step = damped_solve(&information, &descent, self.parameters, damping)?;
+            let step = damped_solve(&normal, &rhs, self.parameters, damping)?;
             let camera_step = unknowns.camera_step(&columns, &step);
             let mut moved = unknowns.stepped(self.motion, state, &step)?;
             let moved_view = moved.view(&self.noise, self.loss);
@@ -119,7 +119,7 @@ impl Adjustment<'_> {
                 follow(self.observations, &chunks, &eliminated, &state.points, &camera_step, &moved_view);
             moved.points = points;
             let norm = scaled_norm(self.parameters, &step);
-            let own_gain = predicted_gain(&information, &descent, &step);
+            let own_gain = predicted_gain(&normal, &rhs, &step);
             Ok(Proposal {
                 cost: tracks + self.cost_beside_tracks(&moved),
                 state: moved,
@@ -179,7 +179,7 @@ impl Adjustment<'_> {
 
     /// Negative gradient of the reduced cost.
     #[cfg(test)]
-    pub(crate) fn descent_of(&self, state: &State) -> Result<DVector<f64>, CalibrationError> {
+    pub(crate) fn rhs_of(&self, state: &State) -> Result<DVector<f64>, CalibrationError> {
         let unknowns = self.unknowns(state);
         let view = state.view(&self.noise, self.loss);
         let columns = unknowns.columns(self.motion, state)?;
@@ -206,7 +206,7 @@ impl Adjustment<'_> {
 pub(crate) fn posed_state(
     model: &Model,
     posture_errors: Vec<f64>,
-    motion: &Motion,
+    motion: &CameraKinematics,
     observations: &Observations,
     noise: &NoiseScales,
     loss: Loss,
@@ -221,14 +221,14 @@ pub(crate) fn posed_state(
 }
 
 /// Eliminates all unknowns but the first `count`: their information when the others are free.
-pub(crate) fn marginal(information: &DMatrix<f64>, count: usize) -> DMatrix<f64> {
-    let total = information.nrows();
-    let own = information.view((0, 0), (count, count)).into_owned();
+pub(crate) fn marginal(normal: &DMatrix<f64>, count: usize) -> DMatrix<f64> {
+    let total = normal.nrows();
+    let own = normal.view((0, 0), (count, count)).into_owned();
     if total == count {
         return own;
     }
-    let cross = information.view((0, count), (count, total - count)).into_owned();
-    let rest = information.view((count, count), (total - count, total - count)).into_owned();
+    let cross = normal.view((0, count), (count, total - count)).into_owned();
+    let rest = normal.view((count, count), (total - count, total - count)).into_owned();
     match rest.cholesky() {
         Some(factor) => {
             let marginal = own - &cross * factor.solve(&cross.transpose());
@@ -258,10 +258,10 @@ pub(crate) fn marginal_equations(
 }
 
 /// The inverse; `None` where it is not positive definite.
-pub(crate) fn inverse(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let scale = DVector::from_fn(information.nrows(), |k, _| 1.0 / information[(k, k)].max(1e-300).sqrt());
-    let scaled = DMatrix::from_fn(information.nrows(), information.ncols(), |i, j| {
-        information[(i, j)] * scale[i] * scale[j] + if i == j { 1e-13 } else { 0.0 }
+pub(crate) fn inverse(normal: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let scale = DVector::from_fn(normal.nrows(), |k, _| 1.0 / normal[(k, k)].max(1e-300).sqrt());
+    let scaled = DMatrix::from_fn(normal.nrows(), normal.ncols(), |i, j| {
+        normal[(i, j)] * scale[i] * scale[j] + if i == j { 1e-13 } else { 0.0 }
     });
     let mut inverse = scaled.cholesky()?.inverse();
     for (j, mut column) in inverse.column_iter_mut().enumerate() {

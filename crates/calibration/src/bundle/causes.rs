@@ -8,7 +8,7 @@
 //! Postures at one arm position share errors, so that they are no independent witnesses. The smaller counts of the test above and of the one whose variance is that of the scores
 //! over arm positions (cluster-robust; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
 
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Model, MountComponent, Parameter, PostureErrorKnowledge};
 use nalgebra::{DMatrix, DVector, Vector6};
 use serde::{Deserialize, Serialize};
@@ -41,7 +41,7 @@ pub enum ErrorPattern {
         /// 1 for the period of a turn, 2 for half of it.
         harmonic: u32,
     },
-    /// A joint gives way under the arm's weight. Radians a metre of gravity's lever arm.
+    /// A joint gives way under the arm's weight. Radians a metre of gravity's gravity_arm arm.
     Compliance {
         /// Counted from 0.
         joint: usize,
@@ -57,10 +57,10 @@ pub struct PatternFinding {
     pub size: f64,
     /// Sigma of that.
     pub sigma: f64,
-    /// Twice the gain of the logarithm of the likelihood: chi squared with `freedom` degrees of freedom where the pattern is not there.
+    /// Twice the gain of the logarithm of the likelihood: chi squared with `dof` degrees of freedom where the pattern is not there.
     pub chi_squared: f64,
     /// Numbers of the pattern.
-    pub freedom: usize,
+    pub dof: usize,
 }
 
 /// Arm positions before and after a step at least.
@@ -76,7 +76,7 @@ const BELIEVED_PER_NUMBER: f64 = 3.0;
 /// The believed patterns, the one that explains most first.
 pub(crate) fn error_patterns(
     model: &Model,
-    motion: &Motion,
+    motion: &CameraKinematics,
     knowledge: &PostureErrorKnowledge,
     positions: &[usize],
 ) -> Result<Vec<PatternFinding>, CalibrationError> {
@@ -99,7 +99,7 @@ pub(crate) fn error_patterns(
             let pattern = |joint| ErrorPattern::Transmission { joint, harmonic };
             found.extend(tests.of_joints(&pattern, &columns.collect::<Vec<_>>()));
         }
-        let columns: Vec<_> = joints.map(|joint| vec![column(joint, &|r| r.lever)]).collect();
+        let columns: Vec<_> = joints.map(|joint| vec![column(joint, &|r| r.gravity_arm)]).collect();
         found.extend(tests.of_joints(&|joint| ErrorPattern::Compliance { joint }, &columns));
         let mut late = DVector::zeros(knowledge.mean.len());
         for at in 0..postures {
@@ -109,8 +109,8 @@ pub(crate) fn error_patterns(
         found.extend(tests.pattern(ErrorPattern::TimeOffset, &[late]));
     }
     found.extend(tests.camera_slip(model, motion)?);
-    found.retain(|finding| finding.chi_squared > BELIEVED + BELIEVED_PER_NUMBER * (finding.freedom - 1) as f64);
-    found.sort_by(|a, b| (b.chi_squared - 2.0 * b.freedom as f64).total_cmp(&(a.chi_squared - 2.0 * a.freedom as f64)));
+    found.retain(|finding| finding.chi_squared > BELIEVED + BELIEVED_PER_NUMBER * (finding.dof - 1) as f64);
+    found.sort_by(|a, b| (b.chi_squared - 2.0 * b.dof as f64).total_cmp(&(a.chi_squared - 2.0 * a.dof as f64)));
     Ok(found)
 }
 
@@ -172,7 +172,7 @@ impl<'a> ScoreTests<'a> {
         let chi_squared = self.robust(fit.chi_squared, columns.len(), &|posture| {
             design.rows(posture * c, c).transpose() * self.score.rows(posture * c, c)
         })?;
-        Some(PatternFinding { pattern, size, sigma, chi_squared, freedom: columns.len() })
+        Some(PatternFinding { pattern, size, sigma, chi_squared, dof: columns.len() })
     }
 
     /// A pattern that each joint may have: by single joints, and by all of them together under the name of the one that has most of it.
@@ -183,11 +183,7 @@ impl<'a> ScoreTests<'a> {
         let all: Vec<DVector<f64>> = columns.concat().into_iter().filter(|column| column.amax() > 0.0).collect();
         if let (Some(most), true) = (most, found.len() > 1) {
             let together = self.pattern(most.pattern, &all);
-            found.extend(together.map(|all| PatternFinding {
-                chi_squared: all.chi_squared,
-                freedom: all.freedom,
-                ..most
-            }));
+            found.extend(together.map(|all| PatternFinding { chi_squared: all.chi_squared, dof: all.dof, ..most }));
         }
         found
     }
@@ -225,7 +221,7 @@ impl<'a> ScoreTests<'a> {
     }
 
     /// How much of a step a posture has, its mean taken out.
-    fn step_share(&self, posture: usize, from: usize) -> f64 {
+    fn step_fraction(&self, posture: usize, from: usize) -> f64 {
         let after = (self.positions.len() - from) as f64 / self.positions.len() as f64;
         if posture >= from { 1.0 - after } else { -after }
     }
@@ -243,7 +239,7 @@ impl<'a> ScoreTests<'a> {
                 continue;
             }
             let of =
-                |posture: usize| DVector::from_element(1, self.step_share(posture, from) * self.score[at(posture)]);
+                |posture: usize| DVector::from_element(1, self.step_fraction(posture, from) * self.score[at(posture)]);
             let Some(chi_squared) = self.robust(score * score / information, 1, &of) else { continue };
             if best.is_none_or(|best| chi_squared > best.chi_squared) {
                 best = Some(PatternFinding {
@@ -251,7 +247,7 @@ impl<'a> ScoreTests<'a> {
                     size: score / information,
                     sigma: information.sqrt().recip(),
                     chi_squared,
-                    freedom: 2,
+                    dof: 2,
                 });
             }
         }
@@ -259,7 +255,11 @@ impl<'a> ScoreTests<'a> {
     }
 
     /// The slip of the camera that explains most. A camera that sits elsewhere looks like joints (or a flange) that are off by what moves it as much.
-    fn camera_slip(&self, model: &Model, motion: &Motion) -> Result<Option<PatternFinding>, CalibrationError> {
+    fn camera_slip(
+        &self,
+        model: &Model,
+        motion: &CameraKinematics,
+    ) -> Result<Option<PatternFinding>, CalibrationError> {
         let mount = MountComponent::ALL.map(Parameter::Mount);
         let postures = motion.len();
         let mut designs = Vec::with_capacity(postures);
@@ -287,7 +287,7 @@ impl<'a> ScoreTests<'a> {
             let Some(mut fit) = Self::solve(&score, &information) else { continue };
             let c = self.components;
             let of = |posture: usize| {
-                designs[posture].transpose() * self.score.rows(posture * c, c) * self.step_share(posture, from)
+                designs[posture].transpose() * self.score.rows(posture * c, c) * self.step_fraction(posture, from)
             };
             let Some(chi_squared) = self.robust(fit.chi_squared, 6, &of) else { continue };
             fit.chi_squared = chi_squared;
@@ -299,7 +299,7 @@ impl<'a> ScoreTests<'a> {
             let (size, sigma) = amplitude(&fit, 3);
             let translation_m = fit.numbers.rows(3, 3).norm();
             let pattern = ErrorPattern::CameraSlip { from, translation_m };
-            PatternFinding { pattern, size, sigma, chi_squared: fit.chi_squared, freedom: 7 }
+            PatternFinding { pattern, size, sigma, chi_squared: fit.chi_squared, dof: 7 }
         }))
     }
 

@@ -1,16 +1,16 @@
 //! What a calibration can be expected to tell, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
 //!
-//! The information about the parameters does not depend on what was measured, only on where the measurements are made. So sights predicted
+//! The information about the parameters does not depend on what was measured, only on where the measurements are made. So observations predicted
 //! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
-use crate::bundle::noise::Balance;
+use crate::bundle::noise::LossCorrection;
 use crate::bundle::observations::Observations;
 use crate::bundle::posterior::{Likelihood, PosteriorInputs};
 use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::pose_covariance::spread_to_poses;
 use crate::prior::Priors;
 use crate::uncertainty::{covariance, describe};
@@ -33,7 +33,7 @@ pub struct ExpectationOptions {
     /// Sigma of a pixel coordinate whose covariance is the unit matrix, px.
     pub pixel_sigma: f64,
     /// `s` of `sigma = s z^2` of the measured depth, 1/m.
-    pub depth_sigma_per_m: f64,
+    pub depth_sigma_per_m2: f64,
     /// Sigma of what joints are off their values where the rig does not state it, degrees; 0 for none.
     pub joint_error_deg: f64,
     /// Unknown posture errors at most; beyond, they are taken as zero.
@@ -47,7 +47,7 @@ impl Default for ExpectationOptions {
             free: Free::Auto,
             priors: PriorPolicy::Auto,
             pixel_sigma: 0.2,
-            depth_sigma_per_m: 3e-3,
+            depth_sigma_per_m2: 3e-3,
             joint_error_deg: 3e-3,
             max_posture_errors: 1800,
         }
@@ -75,12 +75,12 @@ pub fn expected_calibration(
     options: &ExpectationOptions,
 ) -> Result<ExpectedCalibration, CalibrationError> {
     data.check()?;
-    for (name, value) in [("pixel_sigma", options.pixel_sigma), ("depth_sigma_per_m", options.depth_sigma_per_m)] {
+    for (name, value) in [("pixel_sigma", options.pixel_sigma), ("depth_sigma_per_m2", options.depth_sigma_per_m2)] {
         if !(value > 0.0 && value.is_finite()) {
             return Err(CalibrationError::Option { name, value: value.to_string(), expected: "it must be above zero" });
         }
     }
-    let motion = Motion::new(nominal, &data.postures)?;
+    let motion = CameraKinematics::new(nominal, &data.postures)?;
     let mut observations = Observations::new(nominal, data, &|_| true, &mut Vec::new())?;
     let parameters = options.free.candidates(nominal, motion.has_joints(), observations.depth_count() > 0)?;
     if parameters.is_empty() {
@@ -90,7 +90,7 @@ pub fn expected_calibration(
     let posture_errors = if deg > 0.0 { PostureErrorPolicy::SigmaDeg(deg) } else { PostureErrorPolicy::Off };
     let limits = BundleOptions { posture_errors, max_posture_errors: options.max_posture_errors, ..Default::default() };
     let errors = PostureErrorModel::new(nominal, &motion, &limits, &mut Vec::new());
-    let noise = NoiseScales { pixel: options.pixel_sigma, depth: options.depth_sigma_per_m, posture: errors.first };
+    let noise = NoiseScales { pixel: options.pixel_sigma, depth: options.depth_sigma_per_m2, posture: errors.first };
     let priors = Priors::new(nominal, &options.free, options.priors, &parameters);
     let model = Model::new(nominal.clone());
     let mut state = posed_state(
@@ -104,7 +104,7 @@ pub fn expected_calibration(
     let points = triangulate_all(&observations, &state.view(&noise, Loss::Squared), None);
     observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
     state.points = points.into_iter().flatten().collect();
-    let residuals = 2 * observations.sightings.len() + observations.depth_count() + 2 * observations.corners.len();
+    let residuals = 2 * observations.observations.len() + observations.depth_count() + 2 * observations.corners.len();
     let got =
         residuals.saturating_sub(3 * observations.track_count() + 6 * usize::from(!observations.corners.is_empty()));
     let need = 2 * parameters.len();
@@ -121,7 +121,7 @@ pub fn expected_calibration(
         loss: Loss::Squared,
         noise,
         errors: &errors,
-        balance: Balance::EVEN,
+        balance: LossCorrection::EVEN,
         held: None,
     };
     let normal = marginal(&adjustment.normal_matrix(&state, &noise.posture)?, parameters.len());
@@ -146,7 +146,7 @@ pub fn expected_calibration(
 mod tests {
     use super::*;
     use crate::synthetic::{
-        Errors, Sensing, diverse_postures, half_pixel, hp3j, manufacture, perturbed, record, room, seeded,
+        Errors, Sensing, box_points, diverse_postures, half_pixel, hp3j, manufacture, perturbed, record, seeded,
     };
     use crate::{PostureErrorPolicy, calibrate_bundle};
     use skclam_rig::{Posture, PostureState};
@@ -156,7 +156,7 @@ mod tests {
         let exact = Sensing { sigma_px: 0.0, depth_relative: Some(0.0), ..half_pixel() };
         let mut rng = seeded(8);
         let rig = perturbed(&hp3j(), &Free::Auto, nothing(), &mut rng);
-        record(&rig, postures, &room(points, &mut rng), exact, &mut rng)
+        record(&rig, postures, &box_points(points, &mut rng), exact, &mut rng)
     }
 
     fn nothing() -> Errors {
@@ -170,7 +170,7 @@ mod tests {
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         // Two rooms with as many points, but not the same.
         let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
-        let data = record(&truth, &postures, &room(1000, &mut rng), sensing, &mut rng);
+        let data = record(&truth, &postures, &box_points(1000, &mut rng), sensing, &mut rng);
         let fitted = calibrate_bundle(
             &hp3j(),
             &data,
@@ -178,7 +178,11 @@ mod tests {
         )
         .unwrap();
         let mut views = predicted(&postures, 1000);
-        views.tracks.iter_mut().flat_map(|track| &mut track.observations).for_each(|sight| sight.depth_m = None);
+        views
+            .tracks
+            .iter_mut()
+            .flat_map(|track| &mut track.observations)
+            .for_each(|observation| observation.depth_m = None);
         let options = ExpectationOptions { pixel_sigma: 0.5, joint_error_deg: 0.0, ..Default::default() };
         let expected = expected_calibration(&hp3j(), &views, &options).unwrap();
         assert_eq!(expected.parameters.len(), fitted.parameters.len());
@@ -210,7 +214,8 @@ mod tests {
             }
         }
         let expected = expected_calibration(&hp3j(), &predicted(&postures, 1000), &Default::default()).unwrap();
-        let reasons: Vec<&str> = expected.identifiability.unseen.iter().map(|unseen| unseen.reason.as_str()).collect();
+        let reasons: Vec<&str> =
+            expected.identifiability.unobservable.iter().map(|unseen| unseen.reason.as_str()).collect();
         assert!(reasons.iter().any(|reason| reason.starts_with("joint 5 moved by only 0.0 deg")), "{reasons:?}");
         assert!(expected.parameters.iter().any(|parameter| parameter.note.is_some()));
         assert_eq!(expected.poses.len(), 24);

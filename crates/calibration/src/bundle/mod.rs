@@ -2,7 +2,7 @@
 //!
 //! Camera poses are functions of the free parameters, so that after the scene points are eliminated the normal equations are as small as the parameters (and
 //! the joint deviations, six a posture). Residuals: reprojection, measured depth whose sigma grows with the square of the depth, board
-//! corners, priors, joint deviations about zero. The cost is linear in the number of sights.
+//! corners, priors, joint deviations about zero. The cost is linear in the number of observations.
 
 mod adjust;
 mod causes;
@@ -14,6 +14,7 @@ mod outliers;
 mod pose_system;
 mod posterior;
 mod predicted;
+mod projection_model;
 mod random_effects;
 mod reduced;
 mod residuals;
@@ -25,7 +26,6 @@ mod state;
 mod tests;
 mod triangulate;
 mod unknowns;
-mod view;
 
 pub use causes::{ErrorPattern, PatternFinding};
 pub use expected::{ExpectationOptions, ExpectedCalibration, expected_calibration};

@@ -16,49 +16,49 @@ const PIXEL_TRUNCATION: f64 = 0.999_59;
 /// fewer dimensions than two.
 const DEPTH_GATE: f64 = 4.0;
 const DEPTH_TRUNCATION: f64 = 0.998_93;
-/// Beyond so many sigmas a sight is called an outlier.
+/// Beyond so many sigmas an observation is called an outlier.
 pub(crate) const OUTLIER_SIGMAS: f64 = 4.5;
 /// Noise below this is taken for rounding.
 const EXACT_PX: f64 = 1e-6;
 const EXACT_DEPTH: f64 = 1e-8;
 
-/// New scales from residuals measured with the old ones. `freedom`: fraction of all degrees of freedom that the global unknowns leave.
-pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, freedom: f64) -> NoiseScales {
+/// New scales from residuals measured with the old ones. `dof`: fraction of all degrees of freedom that the global unknowns leave.
+pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, dof: f64) -> NoiseScales {
     let pixels: Vec<(f64, f64)> =
-        sizes.iter().filter(|s| s.pixel.is_finite()).map(|s| (s.pixel, 0.5 * s.pixel_freedom)).collect();
+        sizes.iter().filter(|s| s.pixel.is_finite()).map(|s| (s.pixel, 0.5 * s.pixel_dof)).collect();
     // A third of a two-dimensional normal lies within 0.9005 sigma, a third of a one-dimensional one within 0.4307.
     let pixel = component(&pixels, 0.9005, PIXEL_GATE, 2.0 * PIXEL_TRUNCATION);
     let depths: Vec<(f64, f64)> = sizes.iter().filter_map(|s| s.depth).map(|(u, f)| (u.abs(), f)).collect();
     let depth = component(&depths, 0.4307, DEPTH_GATE, DEPTH_TRUNCATION);
-    let share = freedom.max(1e-3).sqrt();
+    let fraction = dof.max(1e-3).sqrt();
     NoiseScales {
-        pixel: (old.pixel * pixel / share).max(EXACT_PX),
-        depth: if depths.is_empty() { old.depth } else { (old.depth * depth / share).max(EXACT_DEPTH) },
+        pixel: (old.pixel * pixel / fraction).max(EXACT_PX),
+        depth: if depths.is_empty() { old.depth } else { (old.depth * depth / fraction).max(EXACT_DEPTH) },
         posture: old.posture,
     }
 }
 
 /// Scale of residuals `(size, share of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
 fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square: f64) -> f64 {
-    // A sight that its own point swallows says nothing.
-    let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, freedom)| *freedom > 0.02).collect();
-    let mut sizes: Vec<f64> = heard.iter().map(|(size, freedom)| size / freedom.sqrt()).collect();
+    // An observation that its own point swallows says nothing.
+    let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();
+    let mut sizes: Vec<f64> = heard.iter().map(|(size, dof)| size / dof.sqrt()).collect();
     if sizes.is_empty() {
         return 1.0;
     }
     let mut scale = quantile(&mut sizes, 1.0 / 3.0) / third_of_one;
     for _ in 0..30 {
-        let (mut sum, mut freedom) = (0.0, 0.0);
-        for (size, share) in &heard {
-            if *size < gate * scale * share.sqrt() {
+        let (mut sum, mut dof) = (0.0, 0.0);
+        for (size, fraction) in &heard {
+            if *size < gate * scale * fraction.sqrt() {
                 sum += size * size;
-                freedom += share;
+                dof += fraction;
             }
         }
-        if freedom == 0.0 {
+        if dof == 0.0 {
             break;
         }
-        let next = (sum / (freedom * mean_square)).sqrt();
+        let next = (sum / (dof * mean_square)).sqrt();
         let settled = (next - scale).abs() <= 1e-5 * scale;
         scale = next;
         if settled {
@@ -70,7 +70,7 @@ fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square
 
 /// How a robust loss stands beside a quadratic prior.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Balance {
+pub(crate) struct LossCorrection {
     /// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix (Huber and Ronchetti, "Robust Statistics", 2009, section 7.6):
     /// `mean(psi^2) mean(w) / mean(psi')^2`.
     pub efficiency_factor: f64,
@@ -79,45 +79,45 @@ pub(crate) struct Balance {
     pub prior_weight: f64,
 }
 
-impl Balance {
+impl LossCorrection {
     /// Before residuals are known, and for least squares: a likelihood.
-    pub(crate) const EVEN: Balance = Balance { efficiency_factor: 1.0, prior_weight: 1.0 };
+    pub(crate) const EVEN: LossCorrection = LossCorrection { efficiency_factor: 1.0, prior_weight: 1.0 };
 
     /// Residuals of two dimensions bend with the mean of `psi'` and `psi / u`.
-    pub(crate) fn of(sizes: &[ResidualSize], loss: Loss) -> Balance {
+    pub(crate) fn of(sizes: &[ResidualSize], loss: Loss) -> LossCorrection {
         let (mut psi2, mut weight, mut curvature) = (0.0, 0.0, 0.0);
-        let (mut freedom, mut count) = (0.0, 0.0);
-        let mut hear = |u: f64, dimensions: f64, share: f64| {
+        let (mut dof, mut count) = (0.0, 0.0);
+        let mut hear = |u: f64, dimensions: f64, fraction: f64| {
             let (w, c) = (loss.weight(u), loss.curvature(u));
             psi2 += (w * u).powi(2);
             weight += dimensions * w;
             curvature += if dimensions > 1.0 { w + c } else { c };
-            freedom += share;
+            dof += fraction;
             count += dimensions;
         };
         for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
-            hear(size.pixel, 2.0, size.pixel_freedom);
-            if let Some((u, share)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
-                hear(u, 1.0, share);
+            hear(size.pixel, 2.0, size.pixel_dof);
+            if let Some((u, fraction)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
+                hear(u, 1.0, fraction);
             }
         }
-        if freedom <= 0.0 || curvature <= 0.0 {
-            return Balance::EVEN;
+        if dof <= 0.0 || curvature <= 0.0 {
+            return LossCorrection::EVEN;
         }
-        let (psi2, weight, curvature) = (psi2 / freedom, weight / count, curvature / count);
-        Balance {
+        let (psi2, weight, curvature) = (psi2 / dof, weight / count, curvature / count);
+        LossCorrection {
             efficiency_factor: (psi2 * weight / (curvature * curvature)).max(0.5),
             prior_weight: (psi2 / curvature).clamp(0.5, 2.0),
         }
     }
 }
 
-/// Distances in px over all sights.
+/// Distances in px over all observations.
 pub(crate) fn statistics(sizes: &[ResidualSize]) -> ReprojectionStatistics {
     let mut distances: Vec<f64> = sizes.iter().map(ResidualSize::distance_px).collect();
     let (mut sum, mut inliers) = (0.0, 0usize);
     for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
-        sum += size.way_px.norm_squared();
+        sum += size.residual_px.norm_squared();
         inliers += 1;
     }
     ReprojectionStatistics {

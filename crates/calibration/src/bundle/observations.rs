@@ -5,9 +5,9 @@ use nalgebra::{Matrix2, Vector2};
 use skclam_geometry::{Pixel, Point3};
 use skclam_rig::Rig;
 
-/// One sight of a scene point.
+/// One observation of a scene point.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Sighting {
+pub(crate) struct Observation {
     pub posture: u32,
     /// z-depth in the camera, metres; 0 where nothing was measured.
     pub depth_m: f64,
@@ -18,7 +18,7 @@ pub(crate) struct Sighting {
     pub information: [f64; 3],
 }
 
-impl Sighting {
+impl Observation {
     /// Norm of a pixel difference in its own sigmas (relative units).
     #[inline]
     pub(crate) fn size(&self, v: &Vector2<f64>) -> f64 {
@@ -27,21 +27,21 @@ impl Sighting {
     }
 }
 
-/// One sight of a board corner.
+/// One observation of a board corner.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct CornerSighting {
-    pub sighting: Sighting,
+pub(crate) struct CornerObservation {
+    pub observation: Observation,
     pub point_in_board: Point3,
 }
 
-/// All sights: those of track `t` are `sightings[offsets[t]..offsets[t + 1]]`.
+/// All observations: those of track `t` are `observations[offsets[t]..offsets[t + 1]]`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Observations {
     pub offsets: Vec<usize>,
-    pub sightings: Vec<Sighting>,
-    pub corners: Vec<CornerSighting>,
+    pub observations: Vec<Observation>,
+    pub corners: Vec<CornerObservation>,
     /// Each board corner as a track of its own (for the start), and where it lies on the board.
-    pub corner_tracks: Vec<(Point3, Vec<Sighting>)>,
+    pub corner_tracks: Vec<(Point3, Vec<Observation>)>,
     pub postures: usize,
 }
 
@@ -62,13 +62,13 @@ impl Observations {
         let mut repeated = 0;
         let mut last_track = vec![usize::MAX; data.postures.len()];
         for (index, track) in data.tracks.iter().enumerate() {
-            let from = flat.sightings.len();
+            let from = flat.observations.len();
             for observation in track.observations.iter().filter(|observation| keep(observation.posture)) {
                 if std::mem::replace(&mut last_track[observation.posture], index) == index {
                     repeated += 1;
                     continue;
                 }
-                flat.sightings.push(Sighting {
+                flat.observations.push(Observation {
                     posture: observation.posture as u32,
                     depth_m: observation.depth_m.unwrap_or(0.0),
                     depth_slope: observation.depth_slope,
@@ -76,16 +76,16 @@ impl Observations {
                     information: information(&observation.covariance),
                 });
             }
-            if flat.sightings.len() - from < 2 {
-                flat.sightings.truncate(from);
+            if flat.observations.len() - from < 2 {
+                flat.observations.truncate(from);
             } else {
-                flat.offsets.push(flat.sightings.len());
+                flat.offsets.push(flat.observations.len());
             }
         }
         if repeated > 0 {
             warnings.push(Warning::RepeatedPosture { observations: repeated });
         }
-        let mut corner_tracks: Vec<((u32, u32), Vec<Sighting>)> = Vec::new();
+        let mut corner_tracks: Vec<((u32, u32), Vec<Observation>)> = Vec::new();
         for board_seen in data.boards.iter().filter(|board| keep(board.posture)) {
             let posture = board_seen.posture;
             let error = |reason: String| CalibrationError::Board { posture, reason };
@@ -97,24 +97,24 @@ impl Observations {
                 }
                 let point_in_board = Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m;
                 let weight = board_seen.sigma_px.powi(-2);
-                let sighting = Sighting {
+                let observation = Observation {
                     posture: posture as u32,
                     depth_m: 0.0,
                     depth_slope: [0.0; 2],
                     pixel,
                     information: [weight, 0.0, weight],
                 };
-                flat.corners.push(CornerSighting { sighting, point_in_board });
+                flat.corners.push(CornerObservation { observation, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
-                    Ok(at) => corner_tracks[at].1.push(sighting),
-                    Err(at) => corner_tracks.insert(at, ((row, column), vec![sighting])),
+                    Ok(at) => corner_tracks[at].1.push(observation),
+                    Err(at) => corner_tracks.insert(at, ((row, column), vec![observation])),
                 }
             }
         }
         let square = rig.board.as_ref().map_or(0.0, |board| board.square_m);
         flat.corner_tracks = corner_tracks
             .into_iter()
-            .filter(|(_, sightings)| sightings.len() >= 2)
+            .filter(|(_, observations)| observations.len() >= 2)
             .map(|((row, column), s)| (Point3::new(f64::from(column), f64::from(row), 0.0) * square, s))
             .collect();
         Ok(flat)
@@ -124,13 +124,13 @@ impl Observations {
         self.offsets.len() - 1
     }
 
-    pub(crate) fn track(&self, index: usize) -> &[Sighting] {
-        &self.sightings[self.offsets[index]..self.offsets[index + 1]]
+    pub(crate) fn track(&self, index: usize) -> &[Observation] {
+        &self.observations[self.offsets[index]..self.offsets[index + 1]]
     }
 
-    /// Sights with a depth.
+    /// Observations with a depth.
     pub(crate) fn depth_count(&self) -> usize {
-        self.sightings.iter().filter(|sighting| sighting.depth_m > 0.0).count()
+        self.observations.iter().filter(|observation| observation.depth_m > 0.0).count()
     }
 
     /// Every `stride`-th track, and all board corners.
@@ -143,20 +143,20 @@ impl Observations {
     /// Makes every corner's sigma larger by a factor.
     pub(crate) fn scale_corner_sigma(&mut self, factor: f64) {
         self.corners.iter_mut().for_each(|corner| {
-            corner.sighting.information = corner.sighting.information.map(|w| w / (factor * factor))
+            corner.observation.information = corner.observation.information.map(|w| w / (factor * factor))
         });
     }
 
     /// The same without the tracks that `keep` refuses.
     pub(crate) fn retain_tracks(&mut self, keep: &[bool]) {
         let mut offsets = vec![0];
-        let mut sightings = Vec::with_capacity(self.sightings.len());
+        let mut observations = Vec::with_capacity(self.observations.len());
         for (index, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
-            sightings.extend_from_slice(self.track(index));
-            offsets.push(sightings.len());
+            observations.extend_from_slice(self.track(index));
+            offsets.push(observations.len());
         }
         self.offsets = offsets;
-        self.sightings = sightings;
+        self.observations = observations;
     }
 }
 
@@ -170,13 +170,13 @@ mod tests {
         let v = Vector2::new(1.3, -0.7);
         let squared: f64 = v.dot(&(covariance.try_inverse().unwrap() * v));
         let expected = squared.sqrt();
-        let sighting = Sighting {
+        let observation = Observation {
             posture: 0,
             depth_m: 0.0,
             depth_slope: [0.0; 2],
             pixel: Pixel::origin(),
             information: information(&covariance),
         };
-        assert!((sighting.size(&v) - expected).abs() < 1e-12);
+        assert!((observation.size(&v) - expected).abs() < 1e-12);
     }
 }

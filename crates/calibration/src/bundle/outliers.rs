@@ -1,6 +1,6 @@
-//! Which postures do not belong: wrong joint values, a bumped camera, a moved scene.
+//! Which postures do not belong: wrong joint values, a displaced camera, a moved scene.
 //!
-//! Where two sights of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in which at least two others agree.
+//! Where two observations of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in which at least two others agree.
 
 use crate::PostureFit;
 use crate::bundle::noise::{OUTLIER_SIGMAS, posture_fits};
@@ -8,15 +8,15 @@ use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
 use crate::robust::median;
 
-/// A posture is suspect when so many of its sights are outliers, and so many more than everywhere.
+/// A posture is suspect when so many of its observations are outliers, and so many more than everywhere.
 const OUTLIER_POSTURE_FRACTION: f64 = 0.5;
 const OUTLIER_POSTURE_EXCESS: f64 = 0.25;
 /// Or when its median residual is so many times that of the median posture.
 const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
-/// Sights that a judgement takes.
+/// Observations that a judgement takes.
 const ENOUGH_SIGHTS: usize = 8;
 
-/// How well each posture fits where it can be told: in tracks of three sights or more of which two agree, and on the board. Postures with hardly any such sights are
+/// How well each posture fits where it can be told: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
 /// judged by all.
 pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec<PostureFit> {
     let mut told: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
@@ -26,7 +26,7 @@ pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec
             told.extend_from_slice(track);
         }
     }
-    told.extend_from_slice(&sizes[observations.sightings.len()..]);
+    told.extend_from_slice(&sizes[observations.observations.len()..]);
     let mut fits = posture_fits(&told, observations.postures);
     let all = posture_fits(sizes, observations.postures);
     fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < ENOUGH_SIGHTS).for_each(|(fit, all)| *fit = all);

@@ -1,11 +1,11 @@
-//! Normal equations whose unknowns are camera twists, the board's twist and the numbers that all sights share.
+//! Normal equations whose unknowns are camera twists, the board's twist and the numbers that all observations share.
 //!
-//! Twists are those of the base frame. With `T(X) = [I, -[X]x]` a camera's twist moves what it sees of a point `X` by `-T xi`, so that a sight of
+//! Twists are those of the base frame. With `T(X) = [I, -[X]x]` a camera's twist moves what it sees of a point `X` by `-T xi`, so that an observation of
 //! information `B` adds `T^T B T`, and every block of the Schur complement is a 3 x 3 between two `T`.
 
-use crate::bundle::observations::CornerSighting;
+use crate::bundle::observations::CornerObservation;
+use crate::bundle::projection_model::{BOARD_SCALE, ProjectionModel, SHARED};
 use crate::bundle::state::PlacedBoard;
-use crate::bundle::view::{BOARD_SCALE, SHARED, View};
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 use skclam_geometry::Point3;
 
@@ -71,13 +71,13 @@ pub(crate) struct PoseSystem {
     pub postures: usize,
     /// Blocks (i, j) with i <= j, row by row.
     blocks: Vec<Matrix6<f64>>,
-    pub descent: Vec<Vector6<f64>>,
+    pub rhs: Vec<Vector6<f64>>,
     pub shared_by_pose: Vec<SharedByTwist>,
     pub shared: SharedMatrix,
-    pub shared_descent: SharedVector,
+    pub shared_rhs: SharedVector,
     pub board_by_pose: Vec<Matrix6<f64>>,
     pub board: Matrix6<f64>,
-    pub board_descent: Vector6<f64>,
+    pub board_rhs: Vector6<f64>,
     pub shared_by_board: SharedByTwist,
     /// Decrease of the cost that the eliminated points promise by themselves.
     pub point_gain: f64,
@@ -88,13 +88,13 @@ impl PoseSystem {
         PoseSystem {
             postures,
             blocks: vec![Matrix6::zeros(); postures * (postures + 1) / 2],
-            descent: vec![Vector6::zeros(); postures],
+            rhs: vec![Vector6::zeros(); postures],
             shared_by_pose: vec![SharedByTwist::zeros(); postures],
             shared: SharedMatrix::zeros(),
-            shared_descent: SharedVector::zeros(),
+            shared_rhs: SharedVector::zeros(),
             board_by_pose: vec![Matrix6::zeros(); postures],
             board: Matrix6::zeros(),
-            board_descent: Vector6::zeros(),
+            board_rhs: Vector6::zeros(),
             shared_by_board: SharedByTwist::zeros(),
             point_gain: 0.0,
         }
@@ -114,10 +114,10 @@ impl PoseSystem {
         if i <= j { self.blocks[self.index(i, j)] } else { self.blocks[self.index(j, i)].transpose() }
     }
 
-    /// What a sight of information `B` and descent `g` has by itself: `T^T B T` and `-T^T g`.
+    /// What an observation of information `B` and descent `g` has by itself: `T^T B T` and `-T^T g`.
     #[inline]
-    pub(crate) fn add_sight(&mut self, i: usize, point: &Point3, information: &Matrix3<f64>, descent: &Vector3<f64>) {
-        let [a, b, c] = by_twist(information, point);
+    pub(crate) fn add_observation(&mut self, i: usize, point: &Point3, normal: &Matrix3<f64>, rhs: &Vector3<f64>) {
+        let [a, b, c] = by_twist(normal, point);
         let (x, y, z) = (point.x, point.y, point.z);
         let at = self.index(i, i);
         for (column, values) in self.blocks[at].data.0.iter_mut().enumerate() {
@@ -129,7 +129,7 @@ impl PoseSystem {
             values[4] += z * a - x * c;
             values[5] += x * b - y * a;
         }
-        self.descent[i] -= twist_of(descent, point);
+        self.rhs[i] -= twist_of(rhs, point);
     }
 
     /// Takes `A^T B` from block (i, j), whichever of the two comes first.
@@ -152,17 +152,17 @@ impl PoseSystem {
     /// A board corner, whose point is no unknown of its own.
     pub(crate) fn add_corner(
         &mut self,
-        view: &View<'_>,
+        view: &ProjectionModel<'_>,
         board: &PlacedBoard,
-        corner: &CornerSighting,
+        corner: &CornerObservation,
         shared_free: bool,
     ) {
         let base_from_board = &board.base_from_board;
         let in_board = corner.point_in_board * board.scale;
         let point = base_from_board * in_board;
-        let Some(sight) = view.linearize(&corner.sighting, &point) else { return };
-        let i = sight.posture;
-        self.add_sight(i, &point, &sight.information, &sight.descent);
+        let Some(observation) = view.linearize(&corner.observation, &point) else { return };
+        let i = observation.posture;
+        self.add_observation(i, &point, &observation.normal, &observation.rhs);
         // The board's twist in its own frame moves the corner by `R T(corner)`.
         let turned = *base_from_board.rotation.to_rotation_matrix().matrix();
         let by_board = SMatrix::<f64, 3, 6>::from_fn({
@@ -170,29 +170,29 @@ impl PoseSystem {
             move |row, column| rows[row][column]
         });
         let by_camera = SMatrix::<f64, 3, 6>::from_fn({
-            let rows = by_twist(&sight.information, &point);
+            let rows = by_twist(&observation.normal, &point);
             move |row, column| rows[row][column]
         });
-        self.board += by_board.transpose() * sight.information * by_board;
-        self.board_descent += by_board.transpose() * sight.descent;
+        self.board += by_board.transpose() * observation.normal * by_board;
+        self.board_rhs += by_board.transpose() * observation.rhs;
         self.board_by_pose[i] -= by_board.transpose() * by_camera;
         if !shared_free {
             return;
         }
-        if let Some(mut shared) = view.linearize_shared(&corner.sighting, &point) {
+        if let Some(mut shared) = view.linearize_shared(&corner.observation, &point) {
             // The squares' size moves the corner by `R corner`.
             let grown = turned * corner.point_in_board.coords;
             let by_scale = shared.by_point * grown;
-            shared.information.set_column(BOARD_SCALE, &by_scale);
-            shared.information.set_row(BOARD_SCALE, &by_scale.transpose());
-            let own = sight.information * grown;
-            shared.information[(BOARD_SCALE, BOARD_SCALE)] = grown.dot(&own);
+            shared.normal.set_column(BOARD_SCALE, &by_scale);
+            shared.normal.set_row(BOARD_SCALE, &by_scale.transpose());
+            let own = observation.normal * grown;
+            shared.normal[(BOARD_SCALE, BOARD_SCALE)] = grown.dot(&own);
             shared.by_point.set_row(BOARD_SCALE, &own.transpose());
-            shared.descent[BOARD_SCALE] = grown.dot(&sight.descent);
+            shared.rhs[BOARD_SCALE] = grown.dot(&observation.rhs);
             self.subtract_shared(i, &shared.by_point, &point);
             self.shared_by_board += shared.by_point * by_board;
-            self.shared += shared.information;
-            self.shared_descent += shared.descent;
+            self.shared += shared.normal;
+            self.shared_rhs += shared.rhs;
         }
     }
 
@@ -201,13 +201,13 @@ impl PoseSystem {
             into.iter_mut().zip(from).for_each(|(a, b)| *a += *b);
         }
         sum(&mut self.blocks, &other.blocks);
-        sum(&mut self.descent, &other.descent);
+        sum(&mut self.rhs, &other.rhs);
         sum(&mut self.shared_by_pose, &other.shared_by_pose);
         sum(&mut self.board_by_pose, &other.board_by_pose);
         self.shared += other.shared;
-        self.shared_descent += other.shared_descent;
+        self.shared_rhs += other.shared_rhs;
         self.board += other.board;
-        self.board_descent += other.board_descent;
+        self.board_rhs += other.board_rhs;
         self.shared_by_board += other.shared_by_board;
         self.point_gain += other.point_gain;
     }
@@ -233,12 +233,12 @@ mod tests {
         assert!((twist_of(&v, &point) - t.transpose() * v).norm() < 1e-15);
         let twist = Vector6::new(0.1, 0.2, -0.3, 0.4, 0.5, -0.6);
         assert!((moved_by(&twist, &point) - t * twist).norm() < 1e-15);
-        // The block of a sight, and what is taken from it.
-        let information = m.transpose() * m;
+        // The block of an observation, and what is taken from it.
+        let normal = m.transpose() * m;
         let mut system = PoseSystem::new(2);
-        system.add_sight(1, &point, &information, &v);
-        assert!((system.block(1, 1) - t.transpose() * information * t).norm() < 1e-13);
-        system.subtract(1, &rows, 0, &by_twist(&information, &point));
-        assert!((system.block(1, 0) + product.transpose() * (information * t)).norm() < 1e-13);
+        system.add_observation(1, &point, &normal, &v);
+        assert!((system.block(1, 1) - t.transpose() * normal * t).norm() < 1e-13);
+        system.subtract(1, &rows, 0, &by_twist(&normal, &point));
+        assert!((system.block(1, 0) + product.transpose() * (normal * t)).norm() < 1e-13);
     }
 }

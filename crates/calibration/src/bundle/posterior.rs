@@ -142,13 +142,13 @@ pub(crate) fn posterior(
     if !(total > 0.0 && total.is_finite()) {
         return None;
     }
-    let share = |log_weight: f64| (log_weight - greatest).exp() / total;
-    let mean = nodes.iter().map(|(w, mean, _)| mean * share(*w)).sum::<DVector<f64>>();
+    let fraction = |log_weight: f64| (log_weight - greatest).exp() / total;
+    let mean = nodes.iter().map(|(w, mean, _)| mean * fraction(*w)).sum::<DVector<f64>>();
     let about = |center: &DVector<f64>| {
         let mut moments = DMatrix::zeros(count, count);
         for (log_weight, mean, covariance) in &nodes {
             let away = mean - center;
-            moments += (covariance + &away * away.transpose()) * share(*log_weight);
+            moments += (covariance + &away * away.transpose()) * fraction(*log_weight);
         }
         moments
     };

@@ -1,10 +1,10 @@
 //! Where a rig that was fitted to some postures expects the observations of others.
 
 use crate::board::{base_from_board_with, point_in_board};
-use crate::bundle::observations::{Observations, Sighting};
+use crate::bundle::observations::{Observation, Observations};
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Correspondences, Loss, Model};
 use skclam_geometry::{Isometry3, Pixel, Point3};
 
@@ -24,7 +24,7 @@ pub(crate) fn predicted_distances(
     data: &Correspondences,
     held_out: &[usize],
 ) -> Result<Vec<Predicted>, CalibrationError> {
-    let motion = Motion::new(&model.rig, &data.postures)?;
+    let motion = CameraKinematics::new(&model.rig, &data.postures)?;
     let is_held = |posture: usize| held_out.contains(&posture);
     let touching = Correspondences {
         postures: data.postures.clone(),
@@ -47,15 +47,15 @@ pub(crate) fn predicted_distances(
     let plain = State { posture_errors: Vec::new(), ..state.clone() };
     let mut plain = plain;
     plain.refresh_frames(&motion)?;
-    let distance = |sighting: &Sighting, point: &Point3| {
-        let in_camera = plain.frames[sighting.posture as usize].in_camera(point);
-        model.rig.color.project(&in_camera).map_or(f64::INFINITY, |pixel| (sighting.pixel - pixel).norm())
+    let distance = |observation: &Observation, point: &Point3| {
+        let in_camera = plain.frames[observation.posture as usize].in_camera(point);
+        model.rig.color.project(&in_camera).map_or(f64::INFINITY, |pixel| (observation.pixel - pixel).norm())
     };
     let mut distances = Vec::new();
     for (track, point) in points.iter().enumerate() {
-        for sighting in observations.track(track).iter().filter(|s| is_held(s.posture as usize)) {
-            let distance_px = point.map_or(f64::INFINITY, |point| distance(sighting, &point));
-            distances.push(Predicted { posture: sighting.posture as usize, distance_px });
+        for observation in observations.track(track).iter().filter(|s| is_held(s.posture as usize)) {
+            let distance_px = point.map_or(f64::INFINITY, |point| distance(observation, &point));
+            distances.push(Predicted { posture: observation.posture as usize, distance_px });
         }
     }
     distances.extend(board_distances(model, posture_errors, data, held_out)?);
@@ -67,11 +67,11 @@ fn training_part(observations: &Observations, is_held: &dyn Fn(usize) -> bool) -
     let mut rest = Observations { offsets: vec![0], postures: observations.postures, ..Default::default() };
     for track in 0..observations.track_count() {
         let own = observations.track(track).iter().filter(|s| !is_held(s.posture as usize));
-        let own: Vec<Sighting> = own.copied().collect();
+        let own: Vec<Observation> = own.copied().collect();
         if own.len() >= 2 {
-            rest.sightings.extend(own);
+            rest.observations.extend(own);
         }
-        rest.offsets.push(rest.sightings.len());
+        rest.offsets.push(rest.observations.len());
     }
     rest
 }
@@ -86,7 +86,7 @@ fn board_distances(
     let (Some(board), false) = (&model.rig.board, seen.is_empty()) else { return Ok(Vec::new()) };
     let others: Vec<usize> = (0..data.postures.len()).filter(|posture| !held_out.contains(posture)).collect();
     let base_from_board: Option<Isometry3> = base_from_board_with(model, posture_errors, data, &others)?;
-    let motion = Motion::new(&model.rig, &data.postures)?;
+    let motion = CameraKinematics::new(&model.rig, &data.postures)?;
     let mut distances = Vec::new();
     for seen in seen {
         let camera_from_base = motion.pose(model, seen.posture, &[])?.inverse();

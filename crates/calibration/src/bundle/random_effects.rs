@@ -7,7 +7,7 @@
 use crate::bundle::adjust::{Adjustment, inverse};
 use crate::bundle::solve::BundleAdjuster;
 use crate::bundle::state::{PostureErrorSigmas, State};
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::prior::{PriorGroup, Priors, likeliest_sigma};
 use crate::robust::median;
 use crate::{BundleOptions, CalibrationError, PostureErrorPolicy, Warning};
@@ -52,8 +52,8 @@ pub(super) struct PostureErrorEstimate {
     pub sigmas: PostureErrorSigmas,
     /// How many of the errors are determined by the data rather than by their prior.
     pub determined: f64,
-    /// Degrees of freedom of the sigmas' estimate.
-    pub freedom: f64,
+    /// Degrees of dof of the sigmas' estimate.
+    pub dof: f64,
     /// Postures whose errors are far larger than the others' and than the sigma held until now.
     pub far_off: Vec<usize>,
 }
@@ -65,7 +65,12 @@ impl PostureErrorModel {
     }
 
     /// What may be off in the postures of a recording.
-    pub(crate) fn new(nominal: &Rig, motion: &Motion, options: &BundleOptions, warnings: &mut Vec<Warning>) -> Self {
+    pub(crate) fn new(
+        nominal: &Rig,
+        motion: &CameraKinematics,
+        options: &BundleOptions,
+        warnings: &mut Vec<Warning>,
+    ) -> Self {
         let kinds = error_kinds(nominal, motion);
         let stated = nominal.prior.joint_deviation_deg.filter(|_| motion.has_joints()).map(f64::to_radians);
         let joints = PostureErrorSigmas { angular: FIRST_JOINT, linear: FIRST_SLIDE };
@@ -98,7 +103,7 @@ impl PostureErrorModel {
     }
 }
 
-fn error_kinds(nominal: &Rig, motion: &Motion) -> Vec<ErrorKind> {
+fn error_kinds(nominal: &Rig, motion: &CameraKinematics) -> Vec<ErrorKind> {
     let components = motion.error_components();
     match &nominal.robot {
         Some(robot) if motion.has_joints() => robot
@@ -162,7 +167,7 @@ impl BundleAdjuster<'_> {
         Ok(Some(PostureErrorEstimate {
             sigmas: estimated,
             determined: (0..count).map(determined).sum(),
-            freedom: traced + whitened_norm,
+            dof: traced + whitened_norm,
             far_off,
         }))
     }

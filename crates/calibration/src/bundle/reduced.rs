@@ -1,13 +1,13 @@
 //! Elimination of the scene points: normal equations by cameras, board and shared numbers, and the points that follow a step of those.
 //!
 //! For a track with point block `V` (3 x 3), pose blocks `U_i` and couplings `W_i` the Schur complement adds `U_i - W_i V^-1 W_i^T` on the diagonal and
-//! `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1). With `V = L L^T` and the sights'
+//! `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1). With `V = L L^T` and the observations'
 //! informations `B_i`, `W_i = -T^T B_i` and the products are `Z_i^T Z_j`, `Z_i = L^-1 B_i T`.
 
-use crate::bundle::observations::{CornerSighting, Observations, Sighting};
+use crate::bundle::observations::{CornerObservation, Observation, Observations};
 use crate::bundle::pose_system::{PoseSystem, SharedByPoint, SharedVector, TwistRows, by_twist, moved_by};
+use crate::bundle::projection_model::{LinearizedObservation, LinearizedShared, ProjectionModel};
 use crate::bundle::state::PlacedBoard;
-use crate::bundle::view::{LinearSight, SharedSight, View};
 use nalgebra::{Matrix3, Vector3, Vector6};
 use rayon::prelude::*;
 use skclam_geometry::Point3;
@@ -33,11 +33,11 @@ fn times([xx, xy, xz, yy, yz, zz]: &Symmetric, v: &Vector3<f64>) -> Vector3<f64>
 /// What is kept of a chunk's tracks until their points follow.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Eliminated {
-    /// Information of every sight; zero behind the camera.
-    sights: Vec<Symmetric>,
+    /// Information of every observation; zero behind the camera.
+    observations: Vec<Symmetric>,
     /// `V^-1` of every track; zero where it is singular.
     inverses: Vec<Symmetric>,
-    descents: Vec<Vector3<f64>>,
+    rhs_blocks: Vec<Vector3<f64>>,
     /// Coupling of the shared numbers; empty where none is free.
     shared: Vec<SharedByPoint>,
 }
@@ -47,8 +47,8 @@ pub(crate) struct Eliminated {
 struct Workspace {
     shared_free: bool,
     damping: f64,
-    sights: Vec<LinearSight>,
-    shared: Vec<SharedSight>,
+    observations: Vec<LinearizedObservation>,
+    shared: Vec<LinearizedShared>,
     rows: Vec<TwistRows>,
 }
 
@@ -59,8 +59,8 @@ struct PointBlock {
 }
 
 /// `None` where the smallest eigenvalue is lost beside the greatest: the track then says nothing.
-fn point_block(information: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
-    let damped = information + Matrix3::from_diagonal(&information.diagonal()) * damping;
+fn point_block(normal: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
+    let damped = normal + Matrix3::from_diagonal(&normal.diagonal()) * damping;
     let trace = damped.trace();
     if damped.determinant() <= 1e-13 * trace * trace * trace {
         return None;
@@ -75,71 +75,75 @@ fn point_block(information: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
 }
 
 /// Inverse of a track's point block without damping: the covariance of the point when the cameras stand still.
-pub(crate) fn point_covariance(view: &View<'_>, track: &[Sighting], point: &Point3) -> Option<Matrix3<f64>> {
-    let sights = track.iter().filter_map(|sighting| view.linearize(sighting, point));
-    let information = sights.fold(Matrix3::zeros(), |sum, sight| sum + sight.information);
-    point_block(&information, 0.0).map(|block| block.inverse)
+pub(crate) fn point_covariance(
+    view: &ProjectionModel<'_>,
+    track: &[Observation],
+    point: &Point3,
+) -> Option<Matrix3<f64>> {
+    let observations = track.iter().filter_map(|observation| view.linearize(observation, point));
+    let normal = observations.fold(Matrix3::zeros(), |sum, observation| sum + observation.normal);
+    point_block(&normal, 0.0).map(|block| block.inverse)
 }
 
 fn add_track(
     system: &mut PoseSystem,
     kept: &mut Eliminated,
     work: &mut Workspace,
-    view: &View<'_>,
-    track: &[Sighting],
+    view: &ProjectionModel<'_>,
+    track: &[Observation],
     point: &Point3,
 ) {
     let shared_free = work.shared_free;
-    work.sights.clear();
+    work.observations.clear();
     work.shared.clear();
     work.rows.clear();
-    let mut information = Matrix3::zeros();
-    let mut descent = Vector3::zeros();
+    let mut normal = Matrix3::zeros();
+    let mut rhs = Vector3::zeros();
     let mut shared_by_point = SharedByPoint::zeros();
-    for sighting in track {
-        let Some(sight) = view.linearize(sighting, point) else {
-            kept.sights.push(Symmetric::default());
+    for observation in track {
+        let Some(linearized) = view.linearize(observation, point) else {
+            kept.observations.push(Symmetric::default());
             continue;
         };
-        information += sight.information;
-        descent += sight.descent;
-        kept.sights.push(packed(&sight.information));
-        work.sights.push(sight);
-        if shared_free && let Some(shared) = view.linearize_shared(sighting, point) {
+        normal += linearized.normal;
+        rhs += linearized.rhs;
+        kept.observations.push(packed(&linearized.normal));
+        work.observations.push(linearized);
+        if shared_free && let Some(shared) = view.linearize_shared(observation, point) {
             shared_by_point += shared.by_point;
             work.shared.push(shared);
         }
     }
-    kept.descents.push(descent);
+    kept.rhs_blocks.push(rhs);
     if shared_free {
         kept.shared.push(shared_by_point);
     }
-    let Some(block) = point_block(&information, work.damping) else {
+    let Some(block) = point_block(&normal, work.damping) else {
         kept.inverses.push(Symmetric::default());
         return;
     };
     kept.inverses.push(packed(&block.inverse));
-    let moved = block.inverse * descent;
-    system.point_gain += 0.5 * descent.dot(&moved);
-    for (k, sight) in work.sights.iter().enumerate() {
-        let pull = sight.descent - sight.information * moved;
-        system.add_sight(sight.posture, point, &sight.information, &pull);
-        let rows = by_twist(&(block.factor_inverse * sight.information), point);
-        for (other, other_rows) in work.sights[..k].iter().zip(&work.rows) {
-            system.subtract(other.posture, other_rows, sight.posture, &rows);
+    let moved = block.inverse * rhs;
+    system.point_gain += 0.5 * rhs.dot(&moved);
+    for (k, observation) in work.observations.iter().enumerate() {
+        let rhs_part = observation.rhs - observation.normal * moved;
+        system.add_observation(observation.posture, point, &observation.normal, &rhs_part);
+        let rows = by_twist(&(block.factor_inverse * observation.normal), point);
+        for (other, other_rows) in work.observations[..k].iter().zip(&work.rows) {
+            system.subtract(other.posture, other_rows, observation.posture, &rows);
         }
-        system.subtract(sight.posture, &rows, sight.posture, &rows);
+        system.subtract(observation.posture, &rows, observation.posture, &rows);
         work.rows.push(rows);
     }
     if shared_free {
         let by_moved = shared_by_point * block.inverse;
-        for (sight, shared) in work.sights.iter().zip(&work.shared) {
-            system.subtract_shared(sight.posture, &(shared.by_point - by_moved * sight.information), point);
-            system.shared += shared.information;
-            system.shared_descent += shared.descent;
+        for (observation, shared) in work.observations.iter().zip(&work.shared) {
+            system.subtract_shared(observation.posture, &(shared.by_point - by_moved * observation.normal), point);
+            system.shared += shared.normal;
+            system.shared_rhs += shared.rhs;
         }
         system.shared -= by_moved * shared_by_point.transpose();
-        system.shared_descent -= shared_by_point * moved;
+        system.shared_rhs -= shared_by_point * moved;
     }
 }
 
@@ -147,16 +151,16 @@ fn add_track(
 pub(crate) fn track_chunks(observations: &Observations) -> Vec<Chunk> {
     let count = (PARTIAL_SUMS / PoseSystem::size(observations.postures).max(1)).clamp(2, 32);
     let work = |track: usize| {
-        let sights = observations.track(track).len();
-        sights * (sights + 10)
+        let observations = observations.track(track).len();
+        observations * (observations + 10)
     };
     let total: usize = (0..observations.track_count()).map(work).sum();
-    let share = total.div_ceil(count).max(1);
+    let fraction = total.div_ceil(count).max(1);
     let mut chunks = Vec::new();
     let (mut from, mut sum) = (0, 0);
     for track in 0..observations.track_count() {
         sum += work(track);
-        if sum >= share {
+        if sum >= fraction {
             chunks.push((from, track + 1));
             (from, sum) = (track + 1, 0);
         }
@@ -171,7 +175,7 @@ pub(crate) fn track_chunks(observations: &Observations) -> Vec<Chunk> {
 pub(crate) fn reduce(
     observations: &Observations,
     chunks: &[Chunk],
-    view: &View<'_>,
+    view: &ProjectionModel<'_>,
     points: &[Point3],
     board: Option<&PlacedBoard>,
     shared_free: bool,
@@ -180,9 +184,9 @@ pub(crate) fn reduce(
     let of_chunk = |&(from, to): &Chunk| {
         let mut system = PoseSystem::new(observations.postures);
         let mut kept = Eliminated::default();
-        kept.sights.reserve_exact(observations.offsets[to] - observations.offsets[from]);
+        kept.observations.reserve_exact(observations.offsets[to] - observations.offsets[from]);
         kept.inverses.reserve_exact(to - from);
-        kept.descents.reserve_exact(to - from);
+        kept.rhs_blocks.reserve_exact(to - from);
         let mut work = Workspace { shared_free, damping, ..Workspace::default() };
         for (track, point) in (from..to).zip(&points[from..to]) {
             let track = observations.track(track);
@@ -218,23 +222,23 @@ pub(crate) fn follow(
     eliminated: &[Eliminated],
     points: &[Point3],
     step: &CameraStep,
-    moved_view: &View<'_>,
+    moved_view: &ProjectionModel<'_>,
 ) -> (Vec<Point3>, f64) {
     let of_chunk = |(&(from, to), kept): (&Chunk, &Eliminated)| {
         let mut moved = Vec::with_capacity(to - from);
         let mut cost = 0.0;
-        let mut sights = kept.sights.iter();
+        let mut normals = kept.observations.iter();
         for (at, point) in points[from..to].iter().enumerate() {
-            let sightings = observations.track(from + at);
-            let mut right = kept.descents[at];
-            for (sighting, information) in sightings.iter().zip(&mut sights) {
-                right += times(information, &moved_by(&step.twists[sighting.posture as usize], point));
+            let track = observations.track(from + at);
+            let mut right = kept.rhs_blocks[at];
+            for (observation, normal) in track.iter().zip(&mut normals) {
+                right += times(normal, &moved_by(&step.twists[observation.posture as usize], point));
             }
             if let (Some(shared), Some(coupling)) = (&step.shared, kept.shared.get(at)) {
                 right -= coupling.tr_mul(shared);
             }
             let next = point + times(&kept.inverses[at], &right);
-            cost += moved_view.cost(sightings, &next);
+            cost += moved_view.cost(track, &next);
             moved.push(next);
         }
         (moved, cost)
@@ -247,7 +251,12 @@ pub(crate) fn follow(
 }
 
 /// Robust cost of all tracks.
-pub(crate) fn track_cost(observations: &Observations, chunks: &[Chunk], view: &View<'_>, points: &[Point3]) -> f64 {
+pub(crate) fn track_cost(
+    observations: &Observations,
+    chunks: &[Chunk],
+    view: &ProjectionModel<'_>,
+    points: &[Point3],
+) -> f64 {
     let of_chunk = |&(from, to): &Chunk| -> f64 {
         (from..to).map(|track| view.cost(observations.track(track), &points[track])).sum()
     };
@@ -255,9 +264,9 @@ pub(crate) fn track_cost(observations: &Observations, chunks: &[Chunk], view: &V
 }
 
 /// Robust cost of all board corners.
-pub(crate) fn corner_cost(observations: &Observations, view: &View<'_>, board: Option<&PlacedBoard>) -> f64 {
+pub(crate) fn corner_cost(observations: &Observations, view: &ProjectionModel<'_>, board: Option<&PlacedBoard>) -> f64 {
     board.map_or(0.0, |board| {
-        let cost = |corner: &CornerSighting| view.cost_of(&corner.sighting, &board.point_in_base(corner));
+        let cost = |corner: &CornerObservation| view.cost_of(&corner.observation, &board.point_in_base(corner));
         observations.corners.iter().map(cost).sum()
     })
 }

@@ -14,14 +14,15 @@ const MIN_LENGTHS: usize = 5;
 
 /// Names the standard of length where all lengths of the arm grew by a factor that neither chance nor its tolerance explains.
 pub(super) fn grown_together(estimates: &[ParameterEstimate], ruler: &Ruler) -> Option<Warning> {
-    let (growth, sigma) = common_growth(estimates)?;
-    let together = growth.abs() > TOGETHER_SIGMAS * sigma && growth.abs() > BEYOND_TOLERANCE * ruler.prior_sigma;
+    let (scale_error, sigma) = common_scale_error(estimates)?;
+    let together =
+        scale_error.abs() > TOGETHER_SIGMAS * sigma && scale_error.abs() > BEYOND_TOLERANCE * ruler.prior_sigma;
     // The standard is as much larger than it is said to be as lengths came out too small.
-    together.then_some(Warning::RulerContradicted { parameter: ruler.parameter, mean: -growth, sigma })
+    together.then_some(Warning::RulerContradicted { parameter: ruler.parameter, mean: -scale_error, sigma })
 }
 
 /// The common factor less 1 by which the arm's lengths grew, and its standard error from how they scatter about it.
-fn common_growth(estimates: &[ParameterEstimate]) -> Option<(f64, f64)> {
+fn common_scale_error(estimates: &[ParameterEstimate]) -> Option<(f64, f64)> {
     let is_length =
         |e: &&ParameterEstimate| matches!(e.parameter, Parameter::Chain(_)) && e.parameter.unit() == Unit::Metre;
     let lengths: Vec<(f64, f64)> =
@@ -30,7 +31,7 @@ fn common_growth(estimates: &[ParameterEstimate]) -> Option<(f64, f64)> {
     if lengths.len() < MIN_LENGTHS || weight <= 0.0 {
         return None;
     }
-    let growth = lengths.iter().map(|(length, change)| length * change).sum::<f64>() / weight;
-    let squares: f64 = lengths.iter().map(|(length, change)| (change - growth * length).powi(2)).sum();
-    Some((growth, (squares / (lengths.len() - 1) as f64 / weight).sqrt()))
+    let scale_error = lengths.iter().map(|(length, change)| length * change).sum::<f64>() / weight;
+    let squares: f64 = lengths.iter().map(|(length, change)| (change - scale_error * length).powi(2)).sum();
+    Some((scale_error, (squares / (lengths.len() - 1) as f64 / weight).sqrt()))
 }

@@ -2,7 +2,7 @@
 
 use crate::bundle::adjust::{Adjustment, marginal_equations, posed_state};
 use crate::bundle::causes::error_patterns;
-use crate::bundle::noise::{self, Balance, OUTLIER_SIGMAS, posture_fits, rescaled};
+use crate::bundle::noise::{self, LossCorrection, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
 use crate::bundle::outliers::{judged, outlier_postures};
 use crate::bundle::posterior::{Likelihood, PosteriorInputs, RulerPosterior};
@@ -11,8 +11,8 @@ use crate::bundle::residuals::ResidualSize;
 use crate::bundle::ruler::grown_together;
 use crate::bundle::start::{start, triangulate_all};
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
+use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::epipolar_statistics;
-use crate::motion::Motion;
 use crate::prior::{PriorGroup, Priors};
 use crate::robust::median;
 use crate::uncertainty::{covariance, describe};
@@ -53,7 +53,7 @@ struct Adjusted {
     priors: Priors,
     observations: Observations,
     sizes: Vec<ResidualSize>,
-    balance: Balance,
+    balance: LossCorrection,
     termination: Termination,
 }
 
@@ -72,7 +72,7 @@ const NO_ERRORS: PostureErrorSigmas = PostureErrorSigmas { angular: 1.0, linear:
 pub(crate) fn compare(
     nominal: &Model,
     calibrated: &Model,
-    motion: &Motion,
+    motion: &CameraKinematics,
     observations: &Observations,
     sigma_px: f64,
 ) -> Result<(Evaluated, Evaluated), CalibrationError> {
@@ -102,7 +102,7 @@ pub fn calibrate_bundle(
 ) -> Result<Calibration, CalibrationError> {
     data.check()?;
     let mut warnings = Vec::new();
-    let motion = Motion::new(nominal, &data.postures)?;
+    let motion = CameraKinematics::new(nominal, &data.postures)?;
     let all = Observations::new(nominal, data, &|_| true, &mut warnings)?;
     let parameters = free_parameters(nominal, &motion, &all, options)?;
     if !motion.has_joints() {
@@ -146,7 +146,7 @@ pub fn calibrate_bundle(
 /// What is free, if the observations are enough for it.
 fn free_parameters(
     nominal: &Rig,
-    motion: &Motion,
+    motion: &CameraKinematics,
     all: &Observations,
     options: &BundleOptions,
 ) -> Result<Vec<Parameter>, CalibrationError> {
@@ -159,7 +159,7 @@ fn free_parameters(
     if parameters.is_empty() {
         return Err(CalibrationError::NothingFree);
     }
-    let residuals = 2 * all.sightings.len() + all.depth_count() + 2 * all.corners.len();
+    let residuals = 2 * all.observations.len() + all.depth_count() + 2 * all.corners.len();
     let got = residuals.saturating_sub(3 * all.track_count() + if has_board { 6 } else { 0 });
     let need = 2 * parameters.len();
     if got < need {
@@ -172,7 +172,7 @@ fn free_parameters(
 /// Everything that an adjustment needs and that stays the same.
 pub(super) struct BundleAdjuster<'a> {
     pub nominal: &'a Rig,
-    pub motion: &'a Motion,
+    pub motion: &'a CameraKinematics,
     pub parameters: &'a [Parameter],
     pub errors: &'a PostureErrorModel,
     pub options: &'a BundleOptions,
@@ -197,7 +197,7 @@ impl BundleAdjuster<'_> {
         priors: &'b Priors,
         noise: NoiseScales,
         loss: Loss,
-        balance: Balance,
+        balance: LossCorrection,
     ) -> Adjustment<'b> {
         Adjustment {
             nominal: self.nominal,
@@ -229,7 +229,7 @@ impl BundleAdjuster<'_> {
     ) -> Result<Screened, CalibrationError> {
         let components = self.errors.kinds.len();
         let none = vec![0.0; components * self.motion.len()];
-        let stride = all.sightings.len().div_ceil(SAMPLE_OBSERVATIONS).max(1);
+        let stride = all.observations.len().div_ceil(SAMPLE_OBSERVATIONS).max(1);
         let mut sample = self.adjust(start, none, noise, priors, all.sampled(stride), true)?;
         let mut excluded = Vec::new();
         for _ in 0..MAX_SCREENING_ROUNDS {
@@ -357,7 +357,7 @@ impl BundleAdjuster<'_> {
         let adjustment = Adjustment {
             parameters: &[],
             held: None,
-            ..self.adjustment(&observations, &priors, noise, loss, Balance::EVEN)
+            ..self.adjustment(&observations, &priors, noise, loss, LossCorrection::EVEN)
         };
         let state = match (posture_errors.is_empty(), state.base_from_board) {
             (true, Some(_)) => adjustment.descend(state, 50)?.state,
@@ -380,12 +380,13 @@ impl BundleAdjuster<'_> {
         let loss = self.options.loss;
         let mut state = posed_state(start, posture_errors, self.motion, &observations, &noise, loss)?;
         let points =
-            self.adjustment(&observations, &priors, noise, Loss::Cauchy(2.0), Balance::EVEN).triangulate(&state);
+            self.adjustment(&observations, &priors, noise, Loss::Cauchy(2.0), LossCorrection::EVEN).triangulate(&state);
         observations.retain_tracks(&points.iter().map(Option::is_some).collect::<Vec<_>>());
         state.points = points.into_iter().flatten().collect();
-        let mut sizes = self.adjustment(&observations, &priors, noise, loss, Balance::EVEN).residual_sizes(&state);
+        let mut sizes =
+            self.adjustment(&observations, &priors, noise, loss, LossCorrection::EVEN).residual_sizes(&state);
         noise = rescaled(&sizes, &noise, 1.0);
-        let mut balance = Balance::EVEN;
+        let mut balance = LossCorrection::EVEN;
         let mut effort = Effort::default();
         let mut initial_cost = None;
         let [one, all] = ITERATION_BUDGET.map(|rounds| rounds * self.options.max_iterations);
@@ -394,22 +395,22 @@ impl BundleAdjuster<'_> {
             effort.rounds += 1;
             let adjustment = self.adjustment(&observations, &priors, noise, loss, balance);
             let limit = self.options.max_iterations.min(allowed.saturating_sub(effort.wasted).max(1));
-            let descent = adjustment.descend(state, limit)?;
-            effort.iterations += descent.iterations;
-            effort.evaluations += descent.evaluations;
-            initial_cost.get_or_insert(descent.initial_cost);
-            state = descent.state;
+            let minimization = adjustment.descend(state, limit)?;
+            effort.iterations += minimization.iterations;
+            effort.evaluations += minimization.evaluations;
+            initial_cost.get_or_insert(minimization.initial_cost);
+            state = minimization.state;
             sizes = adjustment.residual_sizes(&state);
-            let next_balance = Balance::of(&sizes, loss);
+            let next_balance = LossCorrection::of(&sizes, loss);
             let adjustment = Adjustment { balance: next_balance, ..adjustment };
             let next = self.reestimated(&adjustment, &state, &sizes, rough)?;
             if noise.pixel > EXACT_SIGMA {
-                effort.wasted += descent.iterations;
+                effort.wasted += minimization.iterations;
             }
             let settled = next.is_settled(&noise, &priors, rough)
                 && (self.errors.kinds.is_empty() || change(balance.prior_weight, next_balance.prior_weight) < SETTLED);
             if settled || effort.rounds >= self.options.max_rounds || effort.wasted >= allowed {
-                break (descent.reason, descent.cost);
+                break (minimization.reason, minimization.cost);
             }
             noise = next.noise;
             priors = next.priors;
@@ -420,7 +421,15 @@ impl BundleAdjuster<'_> {
         let initial_cost = initial_cost.unwrap_or_default();
         let Effort { iterations, evaluations, rounds, .. } = effort;
         let termination = Termination { reason, iterations, evaluations, rounds, initial_cost, final_cost };
-        Ok(Adjusted { state, noise, priors, observations, balance: Balance::of(&sizes, loss), sizes, termination })
+        Ok(Adjusted {
+            state,
+            noise,
+            priors,
+            observations,
+            balance: LossCorrection::of(&sizes, loss),
+            sizes,
+            termination,
+        })
     }
 
     /// Noise and prior sigmas as the residuals and errors at an optimum have them.
@@ -438,11 +447,11 @@ impl BundleAdjuster<'_> {
         };
         let unknown_count = self.parameters.len() + 6 * usize::from(state.base_from_board.is_some());
         let taken = unknown_count as f64 + estimate.as_ref().map_or(0.0, |estimate| estimate.determined);
-        let freedom: f64 = sizes.iter().map(|s| s.pixel_freedom + s.depth.map_or(0.0, |(_, f)| f)).sum();
-        let left = 1.0 - taken / freedom.max(1.0);
+        let dof: f64 = sizes.iter().map(|s| s.pixel_dof + s.depth.map_or(0.0, |(_, f)| f)).sum();
+        let left = 1.0 - taken / dof.max(1.0);
         let mut next = rescaled(sizes, &noise, left);
         // How sure corners are beside other observations is not known beforehand either: each kind has its own noise.
-        let (of_tracks, of_corners) = sizes.split_at(observations.sightings.len().min(sizes.len()));
+        let (of_tracks, of_corners) = sizes.split_at(observations.observations.len().min(sizes.len()));
         let mut corner_factor = 1.0;
         if of_tracks.len().min(of_corners.len()) >= MIN_OF_A_KIND {
             next = rescaled(of_tracks, &noise, left);
@@ -575,7 +584,7 @@ impl BundleAdjuster<'_> {
             reprojection_after: Some(noise::statistics(&sizes)),
             noise: Noise {
                 pixel: noise.pixel,
-                depth_per_m: (observations.depth_count() > 0).then_some(noise.depth),
+                depth_sigma_per_m2: (observations.depth_count() > 0).then_some(noise.depth),
                 posture_angular: (components > 0).then_some(noise.posture.angular),
                 posture_linear: self.errors.kinds.contains(&crate::ErrorKind::Linear).then_some(noise.posture.linear),
                 outlier_fraction,
@@ -603,8 +612,8 @@ impl BundleAdjuster<'_> {
         if !self.errors.is_estimated() {
             return Ok(1.0);
         }
-        let freedom = self.posture_error_estimate(adjustment, state)?.map(|estimate| estimate.freedom.max(4.0));
-        Ok(freedom.map_or(1.0, |freedom| (freedom / (freedom - 2.0)).sqrt()))
+        let dof = self.posture_error_estimate(adjustment, state)?.map(|estimate| estimate.dof.max(4.0));
+        Ok(dof.map_or(1.0, |dof| (dof / (dof - 2.0)).sqrt()))
     }
 
     /// Mean and covariance of the posture errors with everything else unknown: what tests of causes are made of.
@@ -717,10 +726,10 @@ fn beyond_prior(estimates: &[crate::ParameterEstimate], priors: &Priors, covaria
     estimates.iter().enumerate().filter_map(of).collect()
 }
 
-/// RMS over the sights that fit the calibrated model, so that before and after speak of the same; median over all.
+/// RMS over the observations that fit the calibrated model, so that before and after speak of the same; median over all.
 fn over_inliers(before: &[ResidualSize], after: &[ResidualSize]) -> ReprojectionStatistics {
     let kept = before.iter().zip(after).filter(|(b, a)| a.pixel < OUTLIER_SIGMAS && b.distance_px().is_finite());
-    let squares: Vec<f64> = kept.map(|(b, _)| b.way_px.norm_squared()).collect();
+    let squares: Vec<f64> = kept.map(|(b, _)| b.residual_px.norm_squared()).collect();
     ReprojectionStatistics {
         rms_px: (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt(),
         median_px: median(&mut before.iter().map(ResidualSize::distance_px).collect::<Vec<_>>()),

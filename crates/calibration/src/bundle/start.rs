@@ -1,8 +1,8 @@
 //! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid into its corners.
 
-use crate::bundle::observations::{Observations, Sighting};
+use crate::bundle::observations::{Observation, Observations};
+use crate::bundle::projection_model::ProjectionModel;
 use crate::bundle::reduced::track_chunks;
-use crate::bundle::view::View;
 use crate::robust::median;
 use crate::{
     CalibrationError, Correspondences, Free, Model, PairMatch, PairMatches, PairwiseOptions, Parameter, PriorPolicy,
@@ -19,11 +19,11 @@ const PAIRS_A_TRACK: usize = 6;
 /// Pairs that a posture keeps.
 const PAIRS_A_POSTURE: usize = 4;
 
-/// Pair matches from tracks and board corners: of a track of k sights, up to six pairs, near ones and wide ones; of a posture, the pairs with
+/// Pair matches from tracks and board corners: of a track of k observations, up to six pairs, near ones and wide ones; of a posture, the pairs with
 /// the most matches.
 pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches> {
     let mut by_pair: Vec<Vec<PairMatch>> = vec![Vec::new(); observations.postures * observations.postures];
-    let mut tell = |track: &[Sighting]| {
+    let mut tell = |track: &[Observation]| {
         let count = track.len();
         let pairs: Vec<(usize, usize)> = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b))).collect();
         for (a, b) in pairs.iter().step_by(pairs.len().div_ceil(PAIRS_A_TRACK).max(1)) {
@@ -63,7 +63,7 @@ pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches>
 /// A point for every track; `None` for those that cannot be had. `known`: points to try first.
 pub(crate) fn triangulate_all(
     observations: &Observations,
-    view: &View<'_>,
+    view: &ProjectionModel<'_>,
     known: Option<&[Point3]>,
 ) -> Vec<Option<Point3>> {
     let chunks = track_chunks(observations);
@@ -76,7 +76,7 @@ pub(crate) fn triangulate_all(
 }
 
 /// Lays the board into its triangulated corners (Kabsch 1976), the worst fitting third left out in a second pass.
-pub(crate) fn place_board(observations: &Observations, view: &View<'_>) -> Option<Isometry3> {
+pub(crate) fn place_board(observations: &Observations, view: &ProjectionModel<'_>) -> Option<Isometry3> {
     let corners: Vec<(Point3, Point3)> = observations
         .corner_tracks
         .iter()

@@ -1,9 +1,9 @@
 //! What the bundle adjustment moves, and what it measures with.
 
-use crate::bundle::observations::CornerSighting;
+use crate::bundle::observations::CornerObservation;
+use crate::bundle::projection_model::{Frame, ProjectionModel, Scales};
 use crate::bundle::random_effects::ErrorKind;
-use crate::bundle::view::{Frame, Scales, View};
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Loss, Model};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{Isometry3, Point3};
@@ -12,7 +12,7 @@ use skclam_geometry::{Isometry3, Point3};
 #[derive(Debug, Clone)]
 pub(crate) struct State {
     pub model: Model,
-    /// Component by component, posture by posture ([`Motion::error_components`]); empty where posture errors are off.
+    /// Component by component, posture by posture ([`CameraKinematics::error_components`]); empty where posture errors are off.
     pub posture_errors: Vec<f64>,
     /// One a track.
     pub points: Vec<Point3>,
@@ -22,7 +22,7 @@ pub(crate) struct State {
 }
 
 impl State {
-    pub(crate) fn refresh_frames(&mut self, motion: &Motion) -> Result<(), CalibrationError> {
+    pub(crate) fn refresh_frames(&mut self, motion: &CameraKinematics) -> Result<(), CalibrationError> {
         self.frames = motion.poses(&self.model, &self.posture_errors)?.iter().map(Frame::new).collect();
         Ok(())
     }
@@ -31,8 +31,8 @@ impl State {
         self.base_from_board.map(|base_from_board| PlacedBoard { base_from_board, scale: self.model.board_scale })
     }
 
-    pub(crate) fn view<'a>(&'a self, noise: &NoiseScales, loss: Loss) -> View<'a> {
-        View {
+    pub(crate) fn view<'a>(&'a self, noise: &NoiseScales, loss: Loss) -> ProjectionModel<'a> {
+        ProjectionModel {
             camera: &self.model.rig.color,
             frames: &self.frames,
             depth: self.model.depth,
@@ -50,7 +50,7 @@ pub(crate) struct PlacedBoard {
 }
 
 impl PlacedBoard {
-    pub(crate) fn point_in_base(&self, corner: &CornerSighting) -> Point3 {
+    pub(crate) fn point_in_base(&self, corner: &CornerObservation) -> Point3 {
         self.base_from_board * (corner.point_in_board * self.scale)
     }
 }

@@ -4,20 +4,20 @@ mod random_effects;
 mod ruler;
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
-use crate::bundle::noise::Balance;
+use crate::bundle::noise::LossCorrection;
 use crate::bundle::observations::Observations;
 use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::state::{NoiseScales, PostureErrorSigmas};
 use crate::bundle::unknowns::Unknowns;
-use crate::motion::Motion;
+use crate::camera_kinematics::CameraKinematics;
 use crate::prior::Priors;
 use crate::synthetic::{
-    Errors, Sensing, camera_error, diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed, record,
-    record_board, room, seeded,
+    Errors, Sensing, box_points, camera_error, diverse_postures, half_pixel, hp3j, manufacture, normal, perturbed,
+    record, record_board, seeded,
 };
 use crate::{
     BundleOptions, Calibration, Correspondences, Free, Loss, Model, Parameter, PostureErrorPolicy, PriorPolicy, Unit,
-    UnseenCause, Warning, calibrate_bundle,
+    UnobservableCause, Warning, calibrate_bundle,
 };
 use nalgebra::{DVector, Vector3};
 use rand::RngExt;
@@ -38,7 +38,7 @@ fn recording(errors: Errors, postures: usize, points: usize, sensing: Sensing, s
     let mut rng = seeded(seed);
     let truth = perturbed(&hp3j(), &Free::Auto, errors, &mut rng);
     let postures = diverse_postures(&hp3j(), postures, &mut rng);
-    let points = room(points, &mut rng);
+    let points = box_points(points, &mut rng);
     let data = record(&truth, &postures, &points, sensing, &mut rng);
     (truth, data)
 }
@@ -69,10 +69,10 @@ fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
     let (board, boards) = record_board(&truth, &data.postures, &base_from_board, 0.0, &mut rng);
     nominal.board = Some(board.clone());
     data.boards = boards;
-    let motion = Motion::new(&nominal, &data.postures).unwrap();
+    let motion = CameraKinematics::new(&nominal, &data.postures).unwrap();
     let observations = Observations::new(&nominal, &data, &|_| true, &mut Vec::new()).unwrap();
     let mut parameters = Free::All.candidates(&nominal, true, true).unwrap();
-    parameters.push(Parameter::GearSin(2));
+    parameters.push(Parameter::TransmissionSin(2));
     let priors = Priors::none(parameters.len());
     let noise = NoiseScales { pixel: 0.5, depth: 0.005, posture: MILLIRADIAN };
     let errors = PostureErrorModel::none();
@@ -85,7 +85,7 @@ fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
         loss: Loss::Squared,
         noise,
         errors: &errors,
-        balance: Balance::EVEN,
+        balance: LossCorrection::EVEN,
         held: None,
     };
     let at = |model: &Model| {
@@ -107,17 +107,17 @@ fn gradient_and_information_agree_with_differences_of_the_reduced_cost() {
     let information = marginal(&adjustment.normal_matrix(&at(&exact_model), &noise.posture).unwrap(), count);
     let mut moved = exact_model.clone();
     moved.rig.flange_from_color.translation.vector.x += 1e-4;
-    let descent = adjustment.descent_of(&at(&moved)).unwrap();
+    let rhs = adjustment.rhs_of(&at(&moved)).unwrap();
     let largest =
         |values: &DVector<f64>| values.iter().zip(&parameters).map(|(x, p)| (x * p.scale()).abs()).fold(0.0, f64::max);
-    let scale = largest(&descent);
+    let scale = largest(&rhs);
     let bottom = cost(&exact_model);
     for (k, &parameter) in parameters.iter().enumerate() {
         let step = 1e-4 * parameter.scale();
         let stepped = |model: &Model, s: f64| cost(&model.stepped(&[parameter], &[s]).unwrap());
         let slope = (stepped(&moved, step) - stepped(&moved, -step)) / (2.0 * step);
-        let error = (slope + descent[k]).abs() * parameter.scale();
-        assert!(error < 1e-4 * scale, "{parameter}: {slope} {}", descent[k]);
+        let error = (slope + rhs[k]).abs() * parameter.scale();
+        assert!(error < 1e-4 * scale, "{parameter}: {slope} {}", rhs[k]);
         // At exact data the cost is a parabola whose curvature is the information.
         let bend = (stepped(&exact_model, step) + stepped(&exact_model, -step) - 2.0 * bottom) / (step * step);
         let seen = information[(k, k)];
@@ -141,10 +141,10 @@ fn gradient_of_board_corners_agrees_with_differences() {
     assert_eq!(data.boards.len(), 5);
     let mut nominal = hp3j();
     nominal.board = Some(board);
-    let motion = Motion::new(&nominal, &data.postures).unwrap();
+    let motion = CameraKinematics::new(&nominal, &data.postures).unwrap();
     let observations = Observations::new(&nominal, &data, &|_| true, &mut Vec::new()).unwrap();
     let mut parameters = Free::All.candidates(&nominal, true, false).unwrap();
-    parameters.extend([Parameter::GearSin(1), Parameter::Compliance(2)]);
+    parameters.extend([Parameter::TransmissionSin(1), Parameter::Compliance(2)]);
     let priors = Priors::none(parameters.len());
     let noise = NoiseScales { pixel: 0.5, depth: 0.005, posture: MILLIRADIAN };
     let options =
@@ -163,7 +163,7 @@ fn gradient_of_board_corners_agrees_with_differences() {
             loss,
             noise,
             errors: &errors,
-            balance: Balance::EVEN,
+            balance: LossCorrection::EVEN,
             held: None,
         };
         let posture_errors: Vec<f64> = (0..components * postures).map(|k| 1e-4 * (k as f64).sin()).collect();
@@ -171,11 +171,11 @@ fn gradient_of_board_corners_agrees_with_differences() {
         let state = posed_state(&model, posture_errors.clone(), &motion, observations, &noise, loss).unwrap();
         assert!(state.base_from_board.is_some());
         let unknowns = Unknowns { parameters: &parameters, board: true, components, postures };
-        let descent = adjustment.descent_of(&state).unwrap();
-        let count = descent.len();
+        let rhs = adjustment.rhs_of(&state).unwrap();
+        let count = rhs.len();
         assert_eq!(count, parameters.len() + 6 + components * postures);
         let scale = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale());
-        let largest = (0..count).map(|k| (descent[k] * scale(k)).abs()).fold(0.0, f64::max);
+        let largest = (0..count).map(|k| (rhs[k] * scale(k)).abs()).fold(0.0, f64::max);
         for k in 0..count {
             let step = 1e-5 * scale(k);
             let cost = |sign: f64| {
@@ -187,8 +187,8 @@ fn gradient_of_board_corners_agrees_with_differences() {
                 .checked_sub(unknowns.first_posture_error())
                 .map_or(0.0, |at| posture_errors[at] / noise.posture.angular.powi(2));
             let slope = (cost(1.0) - cost(-1.0)) / (2.0 * step) - prior;
-            let error = (slope + descent[k]).abs() * scale(k);
-            assert!(error < 1e-5 * largest, "{loss:?}, unknown {k}: {slope} {}", -descent[k]);
+            let error = (slope + rhs[k]).abs() * scale(k);
+            assert!(error < 1e-5 * largest, "{loss:?}, unknown {k}: {slope} {}", -rhs[k]);
         }
     }
 }
@@ -214,8 +214,8 @@ fn exact_data_are_fitted_exactly() {
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
     let identifiability = result.identifiability.unwrap();
     assert_eq!(identifiability.rank, 24, "{:?}", identifiability.singular_values);
-    let causes = |cause| identifiability.unseen.iter().filter(|direction| direction.cause == cause).count();
-    assert_eq!((causes(UnseenCause::BaseEnd), causes(UnseenCause::HandEnd)), (4, 2));
+    let causes = |cause| identifiability.unobservable.iter().filter(|direction| direction.cause == cause).count();
+    assert_eq!((causes(UnobservableCause::BaseGauge), causes(UnobservableCause::ToolGauge)), (4, 2));
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn noisy_rgbd_is_fitted_within_its_sigmas() {
     assert!(ruler.held && ruler.parameter == Parameter::DepthScale, "{ruler:?}");
     assert!(largest_error_in_sigmas(&result, &truth) < 4.0, "{:#?}", result.parameters);
     assert!((result.noise.pixel - 0.5).abs() < 0.02, "{:?}", result.noise);
-    assert!((result.noise.depth_per_m.unwrap() - 0.0044).abs() < 2e-4, "{:?}", result.noise);
+    assert!((result.noise.depth_sigma_per_m2.unwrap() - 0.0044).abs() < 2e-4, "{:?}", result.noise);
     let error = camera_error(&truth, &result.model.rig, &data.postures);
     assert!(error < 4e-4, "{error}");
 }
@@ -254,14 +254,14 @@ fn rgb_alone_holds_the_scale_by_priors_and_says_so() {
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
     let identifiability = result.identifiability.as_ref().unwrap();
     assert_eq!(identifiability.rank, 24 + 8 - 1, "all but the scale");
-    assert_eq!(identifiability.unseen[0].cause, UnseenCause::Scale, "{:?}", identifiability.unseen);
+    assert_eq!(identifiability.unobservable[0].cause, UnobservableCause::Scale, "{:?}", identifiability.unobservable);
     let error = camera_error(&truth, &result.model.rig, &data.postures);
     assert!(error < 2e-3, "{error}");
 }
 
 #[test]
-fn wrong_sights_and_a_wrong_posture_do_not_move_it() {
-    // One sight in four is wrong: of pair matches that is 44 %.
+fn wrong_observations_and_a_wrong_posture_do_not_move_it() {
+    // One observation in four is wrong: of pair matches that is 44 %.
     let (truth, mut data) = recording(manufacture(), 30, 5000, Sensing { outliers: 0.25, keypoints: 700, ..rgbd() }, 7);
     let PostureState::Joints(values) = &mut data.postures[11].state else { panic!() };
     values[2] += 0.5f64.to_radians();
@@ -290,7 +290,7 @@ fn error_of_the_rest(result: &Calibration, truth: &Rig, data: &Correspondences) 
 }
 
 #[test]
-fn forty_percent_of_wrong_sights_do_not_move_it() {
+fn forty_percent_of_wrong_observations_do_not_move_it() {
     // Of pair matches that is 64 %.
     let (truth, data) = recording(manufacture(), 30, 6000, Sensing { outliers: 0.4, keypoints: 900, ..rgbd() }, 17);
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
@@ -302,12 +302,12 @@ fn forty_percent_of_wrong_sights_do_not_move_it() {
 
 #[test]
 fn repeated_texture_does_not_move_it() {
-    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the sights, 40 % of pair matches.
+    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the observations, 40 % of pair matches.
     let (truth, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
-    for sight in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
+    for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
         if rng.random::<f64>() < 0.225 {
-            sight.pixel.x += if rng.random::<bool>() { 60.0 } else { -60.0 };
+            observation.pixel.x += if rng.random::<bool>() { 60.0 } else { -60.0 };
         }
     }
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
@@ -322,19 +322,19 @@ fn a_thing_that_moved_does_not_move_it() {
     let mut rng = seeded(19);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 30, &mut rng);
-    let points = room(6000, &mut rng);
+    let points = box_points(6000, &mut rng);
     let sensing = Sensing { keypoints: 900, ..rgbd() };
     let (rigid, moving) = points.split_at(4800);
     let mut data = record(&truth, &postures, rigid, sensing, &mut rng);
     let moved: Vec<_> = moving.iter().map(|point| point + Vector3::new(0.08, 0.0, 0.0)).collect();
     let mut wrong = 0;
     for (early, late) in moving.iter().zip(&moved) {
-        let mut sights = |point: &skclam_geometry::Point3| {
+        let mut observed = |point: &skclam_geometry::Point3| {
             record(&truth, &postures, &[*point], sensing, &mut rng).tracks.pop().unwrap_or_default().observations
         };
-        let mut observations = sights(early);
-        observations.retain(|sight| sight.posture < 10);
-        observations.extend(sights(late).into_iter().filter(|sight| sight.posture >= 10));
+        let mut observations = observed(early);
+        observations.retain(|observation| observation.posture < 10);
+        observations.extend(observed(late).into_iter().filter(|observation| observation.posture >= 10));
         wrong += observations.len();
         data.tracks.push(crate::Track { observations });
     }
@@ -346,27 +346,29 @@ fn a_thing_that_moved_does_not_move_it() {
     assert!((result.noise.pixel - 0.5).abs() < 0.05, "{:?}", result.noise);
 }
 
-/// Thirty postures with a tenth of the sights wrong; the camera was knocked by 5 mm and 1 deg in those named.
-fn bumped_camera(bumped_postures: &[usize], seed: u64) -> (Rig, Correspondences) {
+/// Thirty postures with a tenth of the observations wrong; the camera was knocked by 5 mm and 1 deg in those named.
+fn displaced_camera(displaced_postures: &[usize], seed: u64) -> (Rig, Correspondences) {
     let mut rng = seeded(seed);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 30, &mut rng);
-    let points = room(6000, &mut rng);
+    let points = box_points(6000, &mut rng);
     let sensing = Sensing { outliers: 0.1, keypoints: 900, ..rgbd() };
-    let mut bumped = truth.clone();
-    bumped.flange_from_color *= Isometry3::new(Vector3::new(0.004, -0.003, 0.002), Vector3::new(0.01, -0.008, 0.012));
+    let mut displaced = truth.clone();
+    displaced.flange_from_color *=
+        Isometry3::new(Vector3::new(0.004, -0.003, 0.002), Vector3::new(0.01, -0.008, 0.012));
     let mut data = record(&truth, &postures, &points, sensing, &mut rng);
-    let bumped_from_true = bumped.flange_from_color.inverse() * truth.flange_from_color;
+    let displaced_from_true = displaced.flange_from_color.inverse() * truth.flange_from_color;
     for track in &mut data.tracks {
-        // The bumped camera's sights follow their points by where the true one saw them.
-        track.observations.retain_mut(|sight| {
-            if !bumped_postures.contains(&sight.posture) {
+        // The displaced camera's observations follow their points by where the true one saw them.
+        track.observations.retain_mut(|observation| {
+            if !displaced_postures.contains(&observation.posture) {
                 return true;
             }
-            let Some(z) = sight.depth_m else { return false };
-            let in_bumped = bumped_from_true * nalgebra::Point3::from(truth.color.unproject(&sight.pixel) * z);
-            let Some(pixel) = truth.color.project(&in_bumped) else { return false };
-            *sight = crate::TrackObservation { pixel, depth_m: Some(in_bumped.z), ..*sight };
+            let Some(z) = observation.depth_m else { return false };
+            let in_displaced =
+                displaced_from_true * nalgebra::Point3::from(truth.color.unproject(&observation.pixel) * z);
+            let Some(pixel) = truth.color.project(&in_displaced) else { return false };
+            *observation = crate::TrackObservation { pixel, depth_m: Some(in_displaced.z), ..*observation };
             true
         });
     }
@@ -374,8 +376,8 @@ fn bumped_camera(bumped_postures: &[usize], seed: u64) -> (Rig, Correspondences)
 }
 
 #[test]
-fn a_bumped_camera_is_found_among_wrong_sights() {
-    let (truth, data) = bumped_camera(&[6, 7], 20);
+fn a_displaced_camera_is_found_among_wrong_observations() {
+    let (truth, data) = displaced_camera(&[6, 7], 20);
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
     assert_eq!(left_out(&result), [6, 7], "{:?}", result.warnings);
     let error = error_of_the_rest(&result, &truth, &data);
@@ -383,8 +385,8 @@ fn a_bumped_camera_is_found_among_wrong_sights() {
 }
 
 #[test]
-fn a_bumped_camera_does_not_hide_a_wrong_posture() {
-    let (truth, mut data) = bumped_camera(&[6, 7], 20);
+fn a_displaced_camera_does_not_hide_a_wrong_posture() {
+    let (truth, mut data) = displaced_camera(&[6, 7], 20);
     let PostureState::Joints(values) = &mut data.postures[15].state else { panic!() };
     values[1] += 0.4f64.to_radians();
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
@@ -396,12 +398,12 @@ fn a_bumped_camera_does_not_hide_a_wrong_posture() {
 
 #[test]
 fn matches_that_contradict_each_other_are_told() {
-    // Every other sight sees the like thing 60 px to the right, consistently: nobody can tell which of the two worlds is the right one.
+    // Every other observation sees the like thing 60 px to the right, consistently: nobody can tell which of the two worlds is the right one.
     let (_, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
-    for sight in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
+    for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
         if rng.random::<bool>() {
-            sight.pixel.x += 60.0;
+            observation.pixel.x += 60.0;
         }
     }
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
@@ -450,7 +452,7 @@ fn corners_and_tracks_tell_their_own_noise() {
     let (board, seen) = record_board(&truth, &drawn, &base_from_board, 0.05, &mut rng);
     let seen: Vec<_> = seen.into_iter().take(24).collect();
     let postures: Vec<_> = seen.iter().map(|observation| drawn[observation.posture].clone()).collect();
-    let mut data = record(&truth, &postures, &room(4000, &mut rng), half_pixel(), &mut rng);
+    let mut data = record(&truth, &postures, &box_points(4000, &mut rng), half_pixel(), &mut rng);
     // Told as if corners were as uncertain as tracks; ten times better is what they are.
     data.boards = seen.into_iter().enumerate().map(|(posture, o)| crate::BoardObservation { posture, ..o }).collect();
     let mut nominal = hp3j();

@@ -1,35 +1,35 @@
 //! Scene points from known camera poses: rays, robustly chosen, then refined.
 
-use crate::bundle::observations::Sighting;
-use crate::bundle::view::View;
+use crate::bundle::observations::Observation;
+use crate::bundle::projection_model::ProjectionModel;
 use nalgebra::{Matrix3, Vector3};
 use skclam_geometry::Point3;
 
 /// Rays that meet at less than this angle say nothing about depth, rad (0.15 deg).
 const SMALLEST_PARALLAX: f64 = 2.6e-3;
 /// Pairs of rays from which a point is guessed where all rays together do not fit.
-const MOST_GUESSES: usize = 21;
-/// A point fits a track when every sight's cost is at most that of so many sigmas.
+const MAX_GUESSES: usize = 21;
+/// A point fits a track when every observation's cost is at most that of so many sigmas.
 const FITS_SIGMAS: f64 = 4.5;
 
 /// Centre and direction.
 type Ray = (Point3, Vector3<f64>);
 
-impl View<'_> {
+impl ProjectionModel<'_> {
     /// A point for a track; `None` where the rays do not meet in front of the cameras, or at too small an angle. `known` is
     /// one more guess, and a good one.
-    pub(crate) fn triangulate(&self, track: &[Sighting], known: Option<&Point3>) -> Option<Point3> {
+    pub(crate) fn triangulate(&self, track: &[Observation], known: Option<&Point3>) -> Option<Point3> {
         let rays: Vec<Ray> = track
             .iter()
-            .map(|sighting| {
-                let frame = self.frame(sighting);
-                let direction = frame.camera_from_base.tr_mul(&self.camera.unproject(&sighting.pixel)).normalize();
+            .map(|observation| {
+                let frame = self.frame(observation);
+                let direction = frame.camera_from_base.tr_mul(&self.camera.unproject(&observation.pixel)).normalize();
                 (frame.center_in_base, direction)
             })
             .collect();
         let wide = |a: &Ray, b: &Ray| a.1.cross(&b.1).norm_squared() >= SMALLEST_PARALLAX * SMALLEST_PARALLAX;
         let has_parallax = rays.iter().enumerate().any(|(k, a)| rays[k + 1..].iter().any(|b| wide(a, b)));
-        let measured = || track.iter().filter(|sighting| sighting.depth_m > 0.0).take(4);
+        let measured = || track.iter().filter(|observation| observation.depth_m > 0.0).take(4);
         if !has_parallax && measured().next().is_none() {
             return None;
         }
@@ -45,20 +45,20 @@ impl View<'_> {
         if has_parallax && rays.len() > 2 {
             let pairs = (0..rays.len()).flat_map(|a| (a + 1..rays.len()).map(move |b| (a, b)));
             let all: Vec<_> = pairs.filter(|(a, b)| wide(&rays[*a], &rays[*b])).collect();
-            // Evenly spread over all pairs, so that a few wrong sights do not spoil every guess.
-            let chosen = all.iter().step_by(all.len().div_ceil(MOST_GUESSES).max(1));
+            // Evenly spread over all pairs, so that a few wrong observations do not spoil every guess.
+            let chosen = all.iter().step_by(all.len().div_ceil(MAX_GUESSES).max(1));
             guesses.extend(chosen.filter_map(|(a, b)| meet(&[rays[*a], rays[*b]])));
         }
-        guesses.extend(measured().map(|sighting| {
-            let z = self.depth.offset_m + self.depth.scale * sighting.depth_m;
-            self.frame(sighting).in_base(&Point3::from(self.camera.unproject(&sighting.pixel) * z))
+        guesses.extend(measured().map(|observation| {
+            let z = self.depth.offset_m + self.depth.scale * observation.depth_m;
+            self.frame(observation).in_base(&Point3::from(self.camera.unproject(&observation.pixel) * z))
         }));
         let second = self.best(track, guesses).map(|(_, point)| self.refine(track, point));
         first.into_iter().chain(second).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, point)| point)
     }
 
     /// The cheapest of the guesses that two cameras have before them.
-    fn best(&self, track: &[Sighting], guesses: Vec<Point3>) -> Option<(f64, Point3)> {
+    fn best(&self, track: &[Observation], guesses: Vec<Point3>) -> Option<(f64, Point3)> {
         let in_front = |point: &Point3| track.iter().filter(|s| self.frame(s).in_camera(point).z > 1e-3).count();
         guesses
             .into_iter()
@@ -67,23 +67,23 @@ impl View<'_> {
             .min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    fn fits(&self, track: &[Sighting], point: &Point3) -> bool {
+    fn fits(&self, track: &[Observation], point: &Point3) -> bool {
         let most = self.scales.loss.rho(FITS_SIGMAS);
-        track.iter().all(|sighting| self.cost_of(sighting, point) <= most)
+        track.iter().all(|observation| self.cost_of(observation, point) <= most)
     }
 
     /// Damped Gauss-Newton on one point, cameras fixed; its cost and the point.
-    pub(crate) fn refine(&self, track: &[Sighting], start: Point3) -> (f64, Point3) {
+    pub(crate) fn refine(&self, track: &[Observation], start: Point3) -> (f64, Point3) {
         let (mut point, mut cost, mut damping) = (start, self.cost(track, &start), 1e-4);
         for _ in 0..12 {
-            let mut information = Matrix3::zeros();
-            let mut descent = Vector3::zeros();
-            for linear in track.iter().filter_map(|sighting| self.linearize(sighting, &point)) {
-                information += linear.information;
-                descent += linear.descent;
+            let mut normal = Matrix3::zeros();
+            let mut rhs = Vector3::zeros();
+            for linear in track.iter().filter_map(|observation| self.linearize(observation, &point)) {
+                normal += linear.normal;
+                rhs += linear.rhs;
             }
-            let damped = information + Matrix3::from_diagonal(&information.diagonal()) * damping;
-            let Some(step) = damped.cholesky().map(|factor| factor.solve(&descent)) else { break };
+            let damped = normal + Matrix3::from_diagonal(&normal.diagonal()) * damping;
+            let Some(step) = damped.cholesky().map(|factor| factor.solve(&rhs)) else { break };
             let moved = point + step;
             let moved_cost = self.cost(track, &moved);
             if moved_cost <= cost {
@@ -106,12 +106,12 @@ impl View<'_> {
 
 /// The point nearest to all rays.
 fn meet(rays: &[Ray]) -> Option<Point3> {
-    let mut information = Matrix3::zeros();
+    let mut normal = Matrix3::zeros();
     let mut right = Vector3::zeros();
     for (center, direction) in rays {
         let across = Matrix3::identity() - direction * direction.transpose();
-        information += across;
+        normal += across;
         right += across * center.coords;
     }
-    information.cholesky().map(|factor| Point3::from(factor.solve(&right)))
+    normal.cholesky().map(|factor| Point3::from(factor.solve(&right)))
 }

@@ -1,11 +1,11 @@
 //! From camera poses to the numbers that move them: parameters, the board's pose, posture errors.
 
 use crate::bundle::pose_system::PoseSystem;
+use crate::bundle::projection_model::{BOARD_SCALE, DEPTH_OFFSET, DEPTH_SCALE, EXTRINSICS, SHARED};
 use crate::bundle::reduced::CameraStep;
 use crate::bundle::state::State;
-use crate::bundle::view::{BOARD_SCALE, DEPTH_OFFSET, DEPTH_SCALE, EXTRINSICS, SHARED};
+use crate::camera_kinematics::{CameraKinematics, CameraMotion, in_base};
 use crate::model::extrinsic_index;
-use crate::motion::{CameraMotion, Motion, in_base};
 use crate::{CalibrationError, Parameter};
 use nalgebra::{DMatrix, DVector, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
@@ -43,7 +43,7 @@ impl Unknowns<'_> {
         self.parameters.iter().any(|&parameter| shared_index(parameter).is_some())
     }
 
-    pub(crate) fn columns(&self, motion: &Motion, state: &State) -> Result<Columns, CalibrationError> {
+    pub(crate) fn columns(&self, motion: &CameraKinematics, state: &State) -> Result<Columns, CalibrationError> {
         let cameras = (0..self.postures)
             .into_par_iter()
             .map(|posture| {
@@ -68,8 +68,8 @@ impl Unknowns<'_> {
     /// Normal matrix and descent direction by the unknowns.
     pub(crate) fn assemble(&self, system: &PoseSystem, columns: &Columns) -> (DMatrix<f64>, DVector<f64>) {
         let (count, parameters) = (self.count(), self.parameters.len());
-        let mut information = DMatrix::zeros(count, count);
-        let mut descent = DVector::zeros(count);
+        let mut normal = DMatrix::zeros(count, count);
+        let mut rhs = DVector::zeros(count);
         let selection = DMatrix::from_fn(SHARED, parameters, |row, k| f64::from(columns.shared[k] == Some(row)));
         let dense = |rows: usize, cols: usize, values: &[f64]| DMatrix::from_column_slice(rows, cols, values);
         // T_i = sum_j S_ij A_j + S_is A_s: what a twist of camera i has in common with the parameters.
@@ -85,42 +85,42 @@ impl Unknowns<'_> {
             })
             .collect();
         let mut own = selection.transpose() * dense(SHARED, SHARED, system.shared.as_slice()) * &selection;
-        let mut pull = selection.transpose() * DVector::from_column_slice(system.shared_descent.as_slice());
+        let mut rhs_part = selection.transpose() * DVector::from_column_slice(system.shared_rhs.as_slice());
         for (i, by_parameter) in columns.by_parameter.iter().enumerate() {
             own += by_parameter.transpose() * &coupling[i];
             own += selection.transpose() * dense(SHARED, 6, system.shared_by_pose[i].as_slice()) * by_parameter;
-            pull += by_parameter.transpose() * DVector::from_column_slice(system.descent[i].as_slice());
+            rhs_part += by_parameter.transpose() * DVector::from_column_slice(system.rhs[i].as_slice());
         }
-        information.view_mut((0, 0), (parameters, parameters)).copy_from(&((&own + own.transpose()) * 0.5));
-        descent.rows_mut(0, parameters).copy_from(&pull);
+        normal.view_mut((0, 0), (parameters, parameters)).copy_from(&((&own + own.transpose()) * 0.5));
+        rhs.rows_mut(0, parameters).copy_from(&rhs_part);
         if self.board {
             let at = parameters;
             let mut cross = dense(SHARED, 6, system.shared_by_board.as_slice()).transpose() * &selection;
             for (i, by_parameter) in columns.by_parameter.iter().enumerate() {
                 cross += dense(6, 6, system.board_by_pose[i].as_slice()) * by_parameter;
             }
-            set_symmetric(&mut information, at, 0, &cross);
-            information.view_mut((at, at), (6, 6)).copy_from(&system.board);
-            descent.rows_mut(at, 6).copy_from(&system.board_descent);
+            set_symmetric(&mut normal, at, 0, &cross);
+            normal.view_mut((at, at), (6, 6)).copy_from(&system.board);
+            rhs.rows_mut(at, 6).copy_from(&system.board_rhs);
         }
         for (i, by_joint) in columns.by_joint.iter().enumerate() {
             if self.components == 0 {
                 break;
             }
             let at = self.first_posture_error() + i * self.components;
-            set_symmetric(&mut information, at, 0, &(by_joint.transpose() * &coupling[i]));
+            set_symmetric(&mut normal, at, 0, &(by_joint.transpose() * &coupling[i]));
             if self.board {
                 let cross = by_joint.transpose() * dense(6, 6, system.board_by_pose[i].as_slice()).transpose();
-                set_symmetric(&mut information, at, parameters, &cross);
+                set_symmetric(&mut normal, at, parameters, &cross);
             }
             for (j, other) in columns.by_joint.iter().enumerate().skip(i) {
                 let block = by_joint.transpose() * (dense(6, 6, system.block(i, j).as_slice()) * other);
-                set_symmetric(&mut information, at, self.first_posture_error() + j * self.components, &block);
+                set_symmetric(&mut normal, at, self.first_posture_error() + j * self.components, &block);
             }
-            let pull = by_joint.transpose() * DVector::from_column_slice(system.descent[i].as_slice());
-            descent.rows_mut(at, self.components).copy_from(&pull);
+            let rhs_part = by_joint.transpose() * DVector::from_column_slice(system.rhs[i].as_slice());
+            rhs.rows_mut(at, self.components).copy_from(&rhs_part);
         }
-        (information, descent)
+        (normal, rhs)
     }
 
     /// What a step of the unknowns does to the cameras, to first order.
@@ -149,7 +149,7 @@ impl Unknowns<'_> {
     /// The state after a step, its points untouched.
     pub(crate) fn stepped(
         &self,
-        motion: &Motion,
+        motion: &CameraKinematics,
         state: &State,
         step: &DVector<f64>,
     ) -> Result<State, CalibrationError> {

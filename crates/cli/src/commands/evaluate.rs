@@ -48,11 +48,11 @@ fn show_surface(score: &SurfaceScore) {
     for (name, distances) in [("accuracy", &score.accuracy), ("completeness", &score.completeness)] {
         let mut cells = vec![name.to_owned()];
         cells.extend([distances.median_m, distances.p90_m].map(|metres| format!("{:.2}", metres * 1e3)));
-        cells.extend(distances.within.map(|share| format!("{share:.3}")));
+        cells.extend(distances.within.map(|fraction| format!("{fraction:.3}")));
         table.add_row(cells);
     }
     let mut cells = vec!["F-score".to_owned(), String::new(), String::new()];
-    cells.extend(score.f_score.map(|share| format!("{share:.3}")));
+    cells.extend(score.f_score.map(|fraction| format!("{fraction:.3}")));
     table.add_row(cells);
     say!("{table}\nOver the observed part of the true surface ({:.0} %).", score.observed * 100.0);
 }

@@ -62,7 +62,7 @@ pub struct ImportArgs {
     #[arg(long, value_name = "DEG_PER_S", default_value_t = 0.3)]
     pub still_below: f64,
     /// ... for at least so long, seconds.
-    #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().min_stand_s)]
+    #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().min_stationary_s)]
     pub still_for: f64,
     /// Images within so many seconds after a stop are not used.
     #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().settle_s)]
@@ -140,7 +140,7 @@ fn options(args: &ImportArgs) -> ImportOptions {
         selection: SelectionOptions {
             selection,
             max_joint_speed: args.still_below.to_radians(),
-            min_stand_s: args.still_for,
+            min_stationary_s: args.still_for,
             settle_s: args.settle,
             ..SelectionOptions::default()
         },

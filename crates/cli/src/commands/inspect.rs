@@ -86,7 +86,7 @@ const COLUMNS: usize = 80;
 
 /// A row a topic, at most [`COLUMNS`] wide: long names are broken behind a slash.
 fn topics(survey: &Survey) -> Table {
-    let rows: Vec<[String; 5]> = survey.topics.iter().map(figures).collect();
+    let rows: Vec<[String; 5]> = survey.topics.iter().map(metrics).collect();
     let header = ["messages", "MB", "Hz", "gap s", "jumps"];
     let numbers: usize = (0..header.len())
         .map(|column| rows.iter().map(|row| row[column].len()).max().unwrap_or(0).max(header[column].len()))
@@ -102,7 +102,7 @@ fn topics(survey: &Survey) -> Table {
     table
 }
 
-fn figures(topic: &TopicSurvey) -> [String; 5] {
+fn metrics(topic: &TopicSurvey) -> [String; 5] {
     // A damaged clock has gaps of years, and rates of nothing or of a billion.
     let short = |value: f64, digits: usize| {
         let plain = format!("{value:.digits$}");
@@ -164,10 +164,10 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
         }
         say!("{table}\n");
     }
-    let partners =
+    let neighbors =
         |position: usize| inspection.pairs.iter().filter(|pair| pair.a == position || pair.b == position).count();
     let mut table =
-        screen::table(&["posture", "sharp", "grey", "dark %", "bright %", "depth m", "depth %", "partners"]);
+        screen::table(&["posture", "sharp", "grey", "dark %", "bright %", "depth m", "depth %", "neighbors"]);
     for (position, image) in inspection.images.iter().enumerate() {
         let optional = |value: Option<f64>, scale: f64| value.map_or_else(String::new, |v| format!("{:.2}", scale * v));
         // Depths of a few counts, where the unit is wrong, are no zeros.
@@ -182,8 +182,8 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
             format!("{:.1}", 100.0 * image.exposure.dark),
             format!("{:.1}", 100.0 * image.exposure.bright),
             depth,
-            optional(image.depth_share, 100.0),
-            partners(position).to_string(),
+            optional(image.depth_fraction, 100.0),
+            neighbors(position).to_string(),
         ]);
     }
     say!("{table}");
@@ -223,13 +223,13 @@ fn show_expected(expected: &ExpectedSigmas) {
         expected.camera_sigma_mm.max,
         expected.camera_sigma_deg.max
     );
-    let depth = expected.depth_sigma_per_m.map_or(String::new(), |s| format!(" and {s} z^2 m of depth"));
-    let sights = match (expected.sights, expected.corners) {
-        (sights, 0) => format!("{sights} sights"),
+    let depth = expected.depth_sigma_per_m2.map_or(String::new(), |s| format!(" and {s} z^2 m of depth"));
+    let observations = match (expected.observations, expected.corners) {
+        (observations, 0) => format!("{observations} observations"),
         (0, corners) => format!("{corners} corners of the board"),
-        (sights, corners) => format!("{sights} sights and {corners} corners of the board"),
+        (observations, corners) => format!("{observations} observations and {corners} corners of the board"),
     };
-    say!("predicted for {sights} with {} px{depth} of noise", expected.pixel_sigma);
+    say!("predicted for {observations} with {} px{depth} of noise", expected.pixel_sigma);
     say!(
         "{} of {} combinations of parameters can be told to half of their tolerance or better",
         expected.told,

@@ -25,21 +25,21 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     let staged = StagedFile::new(&args.out)?;
     let model = read(&args.map)?;
     let camera = camera(args, &model)?;
-    let mut picture = draw(&model, &camera, &options)?;
+    let mut image = draw(&model, &camera, &options)?;
     if let Some(beside) = &args.beside {
         let second = draw(&read(beside)?, &camera, &options)?;
-        picture = side_by_side(&picture, &second, GAP, options.background);
+        image = side_by_side(&image, &second, GAP, options.background);
     }
     let format = if ending == "png" { ImageFormat::Png } else { ImageFormat::Jpeg };
     let mut bytes = Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, format).with_context(|| args.out.display().to_string())?;
+    image.write_to(&mut bytes, format).with_context(|| args.out.display().to_string())?;
     staged.write(bytes.into_inner())?;
     staged.publish()?;
     if cli.json {
-        let told = serde_json::json!({ "picture": args.out, "width": picture.width(), "height": picture.height() });
+        let told = serde_json::json!({ "picture": args.out, "width": image.width(), "height": image.height() });
         screen::json(&told)?;
     } else {
-        say!("{} x {}: {}", picture.width(), picture.height(), args.out.display());
+        say!("{} x {}: {}", image.width(), image.height(), args.out.display());
     }
     Ok(())
 }

@@ -80,7 +80,7 @@ pub fn compare(cli: &Cli, args: &CompareArgs) -> Result<()> {
 
 fn show(comparison: &Comparison) {
     for (at, run) in comparison.runs.iter().enumerate() {
-        say!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.light);
+        say!("[{}] {}: {} ({})", at + 1, run.name, run.rig, run.status);
         if let Some(dataset) = &run.dataset {
             say!("    {dataset}");
         }

@@ -9,7 +9,7 @@ use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
 use skclam::inspection::likely_cause;
 use skclam::output::Contents;
-use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, RunError, VerdictGrade};
+use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, RunError, Status};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -28,7 +28,7 @@ pub fn filter_self(dataset: &mut Dataset, args: &SelfFilterArgs, quiet: bool) ->
     let options =
         SelfFilterOptions { base_link: args.self_filter_base.clone(), margin_m: args.self_filter_margin_mm * 1e-3 };
     let filter = SelfFilter::read(urdf, &dataset.rig, options)?;
-    let told: Vec<String> = filter.left_out().iter().map(|reason| format!("self filter without {reason}")).collect();
+    let told: Vec<String> = filter.left_out().iter().map(|link| format!("self filter without {link}")).collect();
     screen::warn(quiet, &told);
     dataset.self_filter = Some(filter);
     Ok(())
@@ -125,8 +125,8 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
 pub fn show(summary: &Summary) {
     let calibration = &summary.calibration;
     say!("{}", summary.verdict);
-    for reason in summary.reasons.iter().filter(|reason| reason.grade != VerdictGrade::Good) {
-        say!("  check: {}", reason.text);
+    for check in summary.checks.iter().filter(|check| check.status != Status::Good) {
+        say!("  check: {}", check.text);
     }
     say!();
     if !calibration.parameters.is_empty() {
@@ -205,10 +205,10 @@ pub fn show(summary: &Summary) {
     if let Some(board) = &summary.board {
         say!("Board: {} corners in {} postures", board.corners, board.postures);
     }
-    if let Some(found) = summary.camera_fixed.filter(|found| found.dropped_keypoints > 0) {
+    if let Some(found) = summary.ego_mask.filter(|found| found.dropped_keypoints > 0) {
         say!(
             "{:.0} % of the image moves with the camera and was masked ({} keypoints); see mask.png",
-            found.masked_share * 100.0,
+            found.masked_fraction * 100.0,
             found.dropped_keypoints
         );
     }
@@ -239,13 +239,13 @@ pub fn show(summary: &Summary) {
 
 /// What was seen, in at most 80 columns.
 pub fn coverage_line(coverage: &MapCoverage) -> String {
-    let percent = |share: f64| format!("{:.0} %", share * 100.0);
+    let percent = |fraction: f64| format!("{:.0} %", fraction * 100.0);
     let mut parts = Vec::new();
-    if let (Some(share), Some(reach_m)) = (coverage.observed_share_of_reach, coverage.reach_m) {
-        parts.push(format!("{} of the reach ({reach_m:.2} m)", percent(share)));
+    if let (Some(fraction), Some(reach_m)) = (coverage.observed_fraction_of_reach, coverage.reach_m) {
+        parts.push(format!("{} of the reach ({reach_m:.2} m)", percent(fraction)));
     }
-    if let Some(share) = coverage.open_boundary_share {
-        parts.push(format!("border open {}", percent(share)));
+    if let Some(fraction) = coverage.open_boundary_fraction {
+        parts.push(format!("border open {}", percent(fraction)));
     }
     parts.push(format!("no depth {}", percent(coverage.depth_without_value)));
     format!("Seen: {}", parts.join("; "))

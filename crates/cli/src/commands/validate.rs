@@ -10,7 +10,7 @@ use serde::Serialize;
 use skclam::calibration::Free;
 use skclam::dataset::Dataset;
 use skclam::marker_points::{MarkerPoints, PointsValidation, validate_points};
-use skclam::pipeline::{self, Config, Validation, VerdictGrade};
+use skclam::pipeline::{self, Config, Status, Validation};
 use skclam::rig::Rig;
 use std::path::{Path, PathBuf};
 
@@ -78,7 +78,7 @@ pub fn validate(cli: &Cli, args: &ValidateArgs) -> Result<()> {
         images.iter().for_each(show);
         points.iter().for_each(validate_points::show);
     }
-    let of_images = images.as_ref().map(|images| ("images", images.grade));
+    let of_images = images.as_ref().map(|images| ("images", images.status));
     let of_points = points.as_ref().and_then(|points| Some(("points", points.comparison?.status)));
     [of_images, of_points].into_iter().flatten().try_for_each(|(by, status)| fail_on(args.fail_on, by, status))
 }
@@ -103,14 +103,14 @@ fn by_points(path: &Path, args: &ValidateArgs, rig: &Rig, dataset: Option<&Datas
 }
 
 /// Turns a status that the caller does not accept into a failure.
-fn fail_on(limit: Option<FailOnArg>, by: &str, status: VerdictGrade) -> Result<()> {
+fn fail_on(limit: Option<FailOnArg>, by: &str, status: Status) -> Result<()> {
     let (limit, name) = match limit {
-        Some(FailOnArg::Caution) => (VerdictGrade::Caution, "caution"),
-        Some(FailOnArg::Bad) => (VerdictGrade::Bad, "bad"),
+        Some(FailOnArg::Caution) => (Status::Caution, "caution"),
+        Some(FailOnArg::Bad) => (Status::Bad, "bad"),
         None => return Ok(()),
     };
     if status >= limit {
-        let status = if status == VerdictGrade::Bad { "bad" } else { "caution" };
+        let status = if status == Status::Bad { "bad" } else { "caution" };
         bail!("the rig's status by {by} is {status}, and --fail-on {name} was asked for");
     }
     Ok(())
@@ -138,7 +138,7 @@ fn show(validation: &Validation) {
     }
     say!("{table}\n");
     say!(
-        "{} postures, {} matches, {} sights; refitted: {}",
+        "{} postures, {} matches, {} observations; refitted: {}",
         validation.postures,
         validation.matches,
         validation.observations,

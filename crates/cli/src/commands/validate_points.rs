@@ -2,7 +2,7 @@
 
 use crate::screen::{self, say};
 use skclam::marker_points::{ClusteredBy, OutlierPoint, PointsFit, PointsValidation};
-use skclam::pipeline::VerdictGrade;
+use skclam::pipeline::Status;
 
 /// Beyond this the joints, the points and the rig do not belong together, or a unit is wrong, millimetres.
 const LARGE_RMS_MM: f64 = 50.0;
@@ -63,11 +63,11 @@ pub fn sentence(validation: &PointsValidation) -> String {
         nominal.rms_mm, comparison.improvement_mm, validation.clusters
     );
     match comparison.status {
-        VerdictGrade::Good => format!("The rig is better than the nominal one by the measured points: {metrics}."),
-        VerdictGrade::Caution => {
+        Status::Good => format!("The rig is better than the nominal one by the measured points: {metrics}."),
+        Status::Caution => {
             format!("The measured points do NOT distinguish the rig from the nominal one: {metrics}.")
         }
-        VerdictGrade::Bad => format!("The rig is WORSE than the nominal one by the measured points: {metrics}."),
+        Status::Bad => format!("The rig is WORSE than the nominal one by the measured points: {metrics}."),
     }
 }
 
@@ -159,7 +159,7 @@ mod tests {
         }
     }
 
-    fn validation(comparison: Option<(f64, Option<f64>, VerdictGrade)>) -> PointsValidation {
+    fn validation(comparison: Option<(f64, Option<f64>, Status)>) -> PointsValidation {
         PointsValidation {
             points: 120,
             clusters: 6,
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn good() {
-        let said = sentence(&validation(Some((0.391, Some(0.05), VerdictGrade::Good))));
+        let said = sentence(&validation(Some((0.391, Some(0.05), Status::Good))));
         assert!(said.starts_with("The rig is better"), "{said}");
         assert!(said.contains(
             "0.350 mm (RMS), the nominal rig 0.741 mm, difference 0.391 mm \
@@ -188,19 +188,19 @@ mod tests {
 
     #[test]
     fn caution() {
-        let said = sentence(&validation(Some((0.391, Some(0.3), VerdictGrade::Caution))));
+        let said = sentence(&validation(Some((0.391, Some(0.3), Status::Caution))));
         assert!(said.contains("do NOT distinguish"), "{said}");
     }
 
     #[test]
     fn bad() {
-        let said = sentence(&validation(Some((-0.391, Some(0.05), VerdictGrade::Bad))));
+        let said = sentence(&validation(Some((-0.391, Some(0.05), Status::Bad))));
         assert!(said.contains("is WORSE") && said.contains("difference -0.391 mm"), "{said}");
     }
 
     #[test]
     fn too_few_groups() {
-        let said = sentence(&validation(Some((0.391, None, VerdictGrade::Caution))));
+        let said = sentence(&validation(Some((0.391, None, Status::Caution))));
         assert!(said.starts_with("Too few groups of points (6)"), "{said}");
     }
 

@@ -101,7 +101,7 @@ fn sagging(cell: &Cell) -> Result<Variant> {
     let mut longest = 0f64;
     for record in cell.dataset.records.iter().take(POSTURES) {
         let readings = joint_readings(arm, joints(&record.posture), &[])?;
-        longest = readings.get(1).map_or(longest, |reading| longest.max(reading.lever.abs()));
+        longest = readings.get(1).map_or(longest, |reading| longest.max(reading.gravity_arm.abs()));
     }
     let soft = JointCorrection { compliance: DEGREES.to_radians() / longest, ..JointCorrection::default() };
     let stiff = JointCorrection::default();

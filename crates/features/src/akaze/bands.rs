@@ -37,10 +37,10 @@ impl Ring {
 /// How many bands to cut `rows` rows into.
 pub(crate) fn band_count(rows: usize, threading: Threading) -> usize {
     /// Thinner bands would recompute more rows at their edges than they contain.
-    const LEAST_ROWS: usize = 32;
+    const MIN_ROWS: usize = 32;
     match threading {
         Threading::Caller => 1,
-        Threading::RowBands => rayon::current_num_threads().min(rows / LEAST_ROWS).max(1),
+        Threading::RowBands => rayon::current_num_threads().min(rows / MIN_ROWS).max(1),
     }
 }
 

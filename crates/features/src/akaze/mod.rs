@@ -68,7 +68,7 @@ pub struct Akaze {
     /// All maxima of the current level.
     maxima: Rows,
     /// Those of the current level and of the one before that may become keypoints.
-    contest: [LevelMaxima; 2],
+    maxima_pair: [LevelMaxima; 2],
 }
 
 /// What stays of a level until its keypoints are described.
@@ -89,7 +89,7 @@ impl Akaze {
             initial: Vec::new(),
             bands: Vec::new(),
             maxima: Rows::default(),
-            contest: Default::default(),
+            maxima_pair: Default::default(),
         }
     }
 
@@ -135,11 +135,11 @@ impl Akaze {
                 contrast *= 0.75;
             }
             self.evolve(i, &levels, contrast, &blur);
-            let [a, b] = &mut self.contest;
-            let (contest_this, contest_before) = if this == 0 { (a, b) } else { (b, a) };
-            contest_this.fill(&self.maxima, level);
+            let [a, b] = &mut self.maxima_pair;
+            let (maxima_this, maxima_before) = if this == 0 { (a, b) } else { (b, a) };
+            maxima_this.fill(&self.maxima, level);
             if i > 0 {
-                suppress::compete(contest_before, &levels[i - 1], contest_this, level);
+                suppress::suppress_between(maxima_before, &levels[i - 1], maxima_this, level);
                 self.describe(i - 1, &levels, mask, &mut features);
             }
         }
@@ -230,10 +230,10 @@ impl Akaze {
     fn describe(&self, index: usize, levels: &[Level], mask: Option<&GrayImage>, features: &mut Features) {
         let level = &levels[index];
         let plane = &self.planes[index % 2];
-        let contest = &self.contest[index % 2];
-        let points: Vec<(KeyPoint, [f32; 2])> = (0..contest.kept.points.len())
-            .filter(|&i| contest.is_extremum(i))
-            .filter_map(|i| keypoint(&contest.kept.points[i], level, index, self.options.derivative_factor))
+        let maxima_pair = &self.maxima_pair[index % 2];
+        let points: Vec<(KeyPoint, [f32; 2])> = (0..maxima_pair.kept.points.len())
+            .filter(|&i| maxima_pair.is_extremum(i))
+            .filter_map(|i| keypoint(&maxima_pair.kept.points[i], level, index, self.options.derivative_factor))
             .filter(|(k, _)| mask.is_none_or(|m| unmasked(m, k)))
             .collect();
         let complete = |&(mut keypoint, centre): &(KeyPoint, [f32; 2])| -> (KeyPoint, Descriptor) {

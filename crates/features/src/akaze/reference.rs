@@ -221,7 +221,7 @@ mod tests {
     use image::GrayImage;
 
     /// Blocks, ramps and noise.
-    fn picture(width: u32, height: u32) -> GrayImage {
+    fn image(width: u32, height: u32) -> GrayImage {
         GrayImage::from_fn(width, height, |x, y| {
             let block = (x / 13 * 7 + y / 17 * 5) % 8 * 20;
             let noise =
@@ -234,7 +234,7 @@ mod tests {
     fn every_level_agrees_bit_for_bit_however_the_image_is_cut() {
         for (width, height, threads) in [(161, 123, 1), (250, 201, 3), (192, 300, 7)] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-            pool.install(|| check_levels(&picture(width, height)));
+            pool.install(|| check_levels(&image(width, height)));
         }
     }
 
@@ -244,14 +244,14 @@ mod tests {
         assert_eq!(different.map(|i| (i, got[i], expected[i])), None, "{what}: first different value");
     }
 
-    fn check_levels(picture: &GrayImage) {
+    fn check_levels(image: &GrayImage) {
         let options = AkazeOptions::default();
-        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        let (width, height) = (image.width() as usize, image.height() as usize);
         let levels = plan::levels(width, height, &options);
         let mut akaze = Akaze::new(options.clone());
-        let mut contrast = akaze.prepare(picture, &levels[0]);
+        let mut contrast = akaze.prepare(image, &levels[0]);
 
-        let float = Plane { width, height, data: picture.iter().map(|&g| f32::from(g) * (1.0 / 255.0)).collect() };
+        let float = Plane { width, height, data: image.iter().map(|&g| f32::from(g) * (1.0 / 255.0)).collect() };
         let first = blur(&float, &initial::gaussian_taps(f64::from(options.base_sigma), 4));
         same(&akaze.planes[0].image, &first.data, "first level");
         let small = initial::small_blur();
@@ -317,10 +317,10 @@ mod tests {
     #[test]
     fn directions_and_descriptors_agree() {
         let options = AkazeOptions::default();
-        let picture = picture(200, 180);
+        let image = image(200, 180);
         let levels = plan::levels(200, 180, &options);
         let mut akaze = Akaze::new(options);
-        let contrast = akaze.prepare(&picture, &levels[0]);
+        let contrast = akaze.prepare(&image, &levels[0]);
         akaze.evolve(0, &levels, contrast, &initial::small_blur());
         let plane = &akaze.planes[0];
         let (mut directions, mut bits, mut count) = (0, 0, 0);

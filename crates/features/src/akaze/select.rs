@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dull_half_of_the_image_keeps_its_share() {
+    fn a_dull_half_of_the_image_keeps_its_fraction() {
         let mut keypoints = Vec::new();
         for i in 0..1000 {
             let (x, y) = ((i % 40) as f32 * 2.5, (i / 40) as f32 * 4.0);

@@ -88,8 +88,8 @@ impl LevelMaxima {
     }
 }
 
-/// Lets the maxima of two neighbouring levels compete.
-pub(crate) fn compete(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
+/// Lets the maxima of two neighbouring levels suppress_between.
+pub(crate) fn suppress_between(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
     let reach = up.step as f32;
     for (p, beaten) in lower.kept.points.iter().zip(&mut lower.beaten_from_above) {
         let at = [p.x, p.y].map(|c| up.level_from_image(low.to_image(c as f32)));
@@ -133,19 +133,19 @@ mod tests {
     }
 
     #[test]
-    fn levels_compete_across_an_octave_at_pixel_centres() {
+    fn levels_suppress_each_other_across_an_octave_at_pixel_centres() {
         let levels = levels(400, 400, &AkazeOptions::default());
         let (low, up) = (&levels[3], &levels[4]);
         let (mut a, mut b) = (LevelMaxima::default(), LevelMaxima::default());
         // Pixel 50 of the upper level has its centre at 100.5 of the lower; the reach is 2 * 2 pixels.
         a.fill(&rows(&[candidate(97, 100, 1.0), candidate(105, 100, 1.0)], low), low);
         b.fill(&rows(&[candidate(50, 50, 2.0)], up), up);
-        compete(&mut a, low, &mut b, up);
+        suppress_between(&mut a, low, &mut b, up);
         assert_eq!(a.beaten_from_above, [true, false]);
         assert!(b.is_extremum(0));
         // The other way round: a stronger one below.
         a.fill(&rows(&[candidate(104, 100, 3.0)], low), low);
-        compete(&mut a, low, &mut b, up);
+        suppress_between(&mut a, low, &mut b, up);
         assert!(a.is_extremum(0) && !b.is_extremum(0));
     }
 

@@ -17,23 +17,23 @@ pub struct BoardOptions {
     /// Smoothing before candidates are looked for, px.
     pub smoothing_px: f64,
     /// How often the image is halved at most; strongly blurred boards are found in small images.
-    pub halvings: u32,
+    pub levels: u32,
     /// A board with fewer corners in view is not told.
-    pub least_corners: usize,
+    pub min_corners: usize,
     /// Half the window within which a corner's print is aligned with the image, in sides of a square.
     pub window: f64,
     /// Half that window at most, px; at least it is 4 px.
-    pub most_window_px: f64,
+    pub max_window_px: f64,
 }
 
 impl Default for BoardOptions {
     fn default() -> Self {
-        BoardOptions { smoothing_px: 1.2, halvings: 3, least_corners: 9, window: 0.3, most_window_px: 40.0 }
+        BoardOptions { smoothing_px: 1.2, levels: 3, min_corners: 9, window: 0.3, max_window_px: 40.0 }
     }
 }
 
 /// Pixels of an image at most; more would take gigabytes.
-const MOST_PIXELS: u64 = 1 << 28;
+const MAX_PIXELS: u64 = 1 << 28;
 /// Grids that are looked at in an image.
 const GRIDS: usize = 6;
 
@@ -56,14 +56,14 @@ pub fn detect_board(
     let mut best: Option<FoundBoard> = None;
     let whole = (layout.columns * layout.rows) as usize;
     let is_whole = |best: &Option<FoundBoard>| best.as_ref().is_some_and(|board| board.corners.len() >= whole);
-    for halving in 0..=options.halvings {
-        if halving > 0 {
+    for octave in 0..=options.levels {
+        if octave > 0 {
             level = level.halved();
         }
         if level.width < 16 || level.height < 16 {
             break;
         }
-        search.in_level(&level, halving, &mut best);
+        search.in_level(&level, octave, &mut best);
         if is_whole(&best) {
             break;
         }
@@ -81,8 +81,8 @@ pub fn detect_board(
 
 fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Result<(), FeaturesError> {
     let (width, height) = image.dimensions();
-    if u64::from(width) * u64::from(height) > MOST_PIXELS {
-        return Err(FeaturesError::ImageTooLarge { width, height, max_pixels: MOST_PIXELS });
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(FeaturesError::ImageTooLarge { width, height, max_pixels: MAX_PIXELS });
     }
     let bad = |option, got: String, need| Err(FeaturesError::BadOption { option, got, need });
     if !(0.5..=10.0).contains(&options.smoothing_px) {
@@ -91,8 +91,8 @@ fn check(image: &GrayImage, layout: &BoardLayout, options: &BoardOptions) -> Res
     if !(0.05..=0.5).contains(&options.window) {
         return bad("window", options.window.to_string(), "0.05 to 0.5 sides of a square");
     }
-    if !(MIN_REACH_PX..=100.0).contains(&options.most_window_px) {
-        return bad("most_window_px", options.most_window_px.to_string(), "4 to 100 px");
+    if !(MIN_REACH_PX..=100.0).contains(&options.max_window_px) {
+        return bad("max_window_px", options.max_window_px.to_string(), "4 to 100 px");
     }
     if !(2..=1000).contains(&layout.columns) || !(2..=1000).contains(&layout.rows) {
         let got = format!("{} x {}", layout.columns, layout.rows);
@@ -122,12 +122,12 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// Looks for a larger board than the best one in one level of the pyramid.
-    fn in_level(&self, level: &Plane, halving: u32, best: &mut Option<FoundBoard>) {
+    fn in_level(&self, level: &Plane, octave: u32, best: &mut Option<FoundBoard>) {
         let smooth = level.smoothed(self.options.smoothing_px as f32);
         let strength = smooth.saddle_strength();
         let found = candidates(&smooth, &strength);
         let most = (self.layout.columns as i32, self.layout.rows as i32);
-        let scale = f64::from(1u32 << halving);
+        let scale = f64::from(1u32 << octave);
         // Pixel x of a level is at scale x + (scale - 1) / 2 of the full image.
         let to_full = |v: f32| (f64::from(v) * scale + 0.5 * (scale - 1.0)) as f32;
         for mut grid in grids(&found).into_iter().take(GRIDS) {
@@ -144,7 +144,7 @@ impl Search<'_> {
     /// of the ways in which it may begin.
     fn judge(&self, grid: &Grid, is_clipped: bool, best: &mut Option<FoundBoard>) {
         let larger = |count: usize| best.as_ref().is_none_or(|other| other.corners.len() < count);
-        if grid.corners.len() < self.options.least_corners || !larger(grid.corners.len()) {
+        if grid.corners.len() < self.options.min_corners || !larger(grid.corners.len()) {
             return;
         }
         let (labellings, markers) = match &self.layout.markers {
@@ -190,7 +190,7 @@ impl Search<'_> {
         let points: Vec<plane::Counted> = corners.iter().map(|(corner, _)| counted(corner)).collect();
         let mut steps: Vec<f64> = corners.iter().map(|(_, step_px)| *step_px).collect();
         steps.sort_by(f64::total_cmp);
-        let fit = plane::fit(&points, *steps.get(steps.len() / 2)?, self.options.least_corners)?;
+        let fit = plane::fit(&points, *steps.get(steps.len() / 2)?, self.options.min_corners)?;
         let kept = corners.into_iter().zip(fit.keeps).filter(|(_, keep)| *keep).map(|((corner, _), _)| corner);
         let mut kept: Vec<GridCorner> = kept.collect();
         let noise = kept.iter().map(|corner| corner.sigma_px.powi(2)).sum::<f64>() / kept.len() as f64;

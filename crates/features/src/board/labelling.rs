@@ -120,8 +120,8 @@ pub(super) fn keeps_colours(grid: &Grid, labelling: &Labelling) -> bool {
     // (column, row). After a quarter turn the corner with the least column and row of the same square is another one.
     let Some((&(row, column), _)) = grid.corners.iter().next() else { return false };
     let (a, b) = (labelling.of(column, row), labelling.of(column + 1, row + 1));
-    let (least_column, least_row) = (a.0.min(b.0), a.1.min(b.1));
-    grid.is_dark(row, column) == ((least_column + least_row).rem_euclid(2) == 0)
+    let (min_column, min_row) = (a.0.min(b.0), a.1.min(b.1));
+    grid.is_dark(row, column) == ((min_column + min_row).rem_euclid(2) == 0)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 use std::collections::BTreeMap;
 
 /// Difference of black and white below which nothing is read, grey levels.
-const LEAST_CONTRAST: f32 = 10.0;
+const MIN_CONTRAST: f32 = 10.0;
 /// Part of a marker's black border that may look white.
 const BORDER_ERRORS: f64 = 0.1;
 /// Samples along a side of a bit.
@@ -149,7 +149,7 @@ fn threshold(values: &[f32]) -> Option<f32> {
         below += sorted[k - 1];
         let (low, high) = (below / k as f32, (total - below) / (sorted.len() - k) as f32);
         let between = (k * (sorted.len() - k)) as f32 * (high - low) * (high - low);
-        if between > best.0 && high - low > LEAST_CONTRAST {
+        if between > best.0 && high - low > MIN_CONTRAST {
             best = (between, 0.5 * (low + high));
         }
     }

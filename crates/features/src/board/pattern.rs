@@ -42,7 +42,7 @@ impl<'a> Pattern<'a> {
     pub(super) fn of(layout: &'a BoardLayout, first_is_black: bool, options: &BoardOptions) -> Self {
         let cells = if layout.markers.is_some() { marked_cells(layout, first_is_black) } else { Vec::new() };
         let ids = cells.into_iter().enumerate().map(|(id, cell)| (cell, id)).collect();
-        Pattern { layout, ids, first_is_black, reach: (options.window, options.most_window_px) }
+        Pattern { layout, ids, first_is_black, reach: (options.window, options.max_window_px) }
     }
 
     pub(super) fn first_is_black(&self) -> bool {

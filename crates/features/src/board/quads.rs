@@ -282,7 +282,7 @@ mod tests {
     use super::*;
 
     /// A dark quadrilateral, 4 x 4 samples a pixel, with a dark frame about it at a distance.
-    fn picture(quad: &Quad, gap_px: f64) -> Plane {
+    fn image(quad: &Quad, gap_px: f64) -> Plane {
         let (width, height) = (80, 60);
         let outside = |x: f64, y: f64| {
             (0..4).map(move |k| {
@@ -309,7 +309,7 @@ mod tests {
     fn a_quadrilateral_is_found_through_a_gap_of_little_more_than_a_pixel() {
         let quad = [(22.3, 14.6), (55.1, 17.2), (52.4, 46.9), (18.7, 42.1)];
         for (gap_px, tolerance_px) in [(1.3, 0.6), (3.0, 0.15), (20.0, 0.15)] {
-            let found = dark_quads(&picture(&quad, gap_px).smoothed(0.6));
+            let found = dark_quads(&image(&quad, gap_px).smoothed(0.6));
             let off = |other: &Quad| {
                 let from = |turns: usize| {
                     let distance = |k: usize| {

@@ -142,11 +142,11 @@ pub(super) const RADIUS: f32 = 4.5;
 /// A smaller one, where something else reaches into the first: the marker of a small square.
 const SMALL_RADIUS: f32 = 3.2;
 /// Two edges include at least so much (25 deg) ...
-const LEAST_SECTOR: f32 = 0.44;
+const MIN_SECTOR: f32 = 0.44;
 /// ... and opposite ones are on one line within so much (35 deg).
-const MOST_BEND: f32 = 0.6;
+const MAX_BEND: f32 = 0.6;
 /// Less contrast than this is noise, grey levels.
-const LEAST_CONTRAST: f32 = 4.0;
+const MIN_CONTRAST: f32 = 4.0;
 /// Candidates that are looked at at most, the strongest first.
 const MOST: usize = 6000;
 /// Saddles weaker than this part of the strongest ones are no candidates.
@@ -210,7 +210,7 @@ fn on_circle(smooth: &Plane, x: f32, y: f32, radius: f32) -> Option<Candidate> {
     }
     let (low, high) = circle.iter().fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
     let contrast = 0.5 * (high - low);
-    if contrast < LEAST_CONTRAST {
+    if contrast < MIN_CONTRAST {
         return None;
     }
     let middle = 0.5 * (high + low);
@@ -237,9 +237,9 @@ fn on_circle(smooth: &Plane, x: f32, y: f32, radius: f32) -> Option<Candidate> {
         crossings[(first + k) % 4].0 + turns
     });
     let sector = |k: usize| if k == 3 { edges[0] + 2.0 * PI - edges[3] } else { edges[k + 1] - edges[k] };
-    let fits = (0..4).all(|k| sector(k) > LEAST_SECTOR)
-        && (edges[2] - edges[0] - PI).abs() < MOST_BEND
-        && (edges[3] - edges[1] - PI).abs() < MOST_BEND;
+    let fits = (0..4).all(|k| sector(k) > MIN_SECTOR)
+        && (edges[2] - edges[0] - PI).abs() < MAX_BEND
+        && (edges[3] - edges[1] - PI).abs() < MAX_BEND;
     // Both dark sectors are dark and both bright ones bright: the mean of each is on its side.
     let whole = || {
         (0..4).all(|k| {

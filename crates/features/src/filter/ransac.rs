@@ -100,8 +100,8 @@ pub fn verify_epipolar(
         for candidate in seven_point::from_seven(&points_a, &points_b) {
             let Some(scored) = search.score(&candidate, best.cost) else { continue };
             best = search.optimise(scored);
-            let share = search.inliers(&best.fundamental).len() as f64 / in_a.len() as f64;
-            enough = enough.min(samples_needed(share, options.confidence, options.max_iterations));
+            let fraction = search.inliers(&best.fundamental).len() as f64 / in_a.len() as f64;
+            enough = enough.min(samples_needed(fraction, options.confidence, options.max_iterations));
         }
     }
     let inliers = search.inliers(&best.fundamental);
@@ -137,8 +137,8 @@ fn check(in_a: &[Point2<f64>], in_b: &[Point2<f64>], options: &RansacOptions) ->
 }
 
 /// Samples to draw until one of seven inliers is in them with the wanted probability.
-fn samples_needed(share: f64, confidence: f64, at_most: usize) -> usize {
-    let failure = 1.0 - share.powi(7);
+fn samples_needed(fraction: f64, confidence: f64, at_most: usize) -> usize {
+    let failure = 1.0 - fraction.powi(7);
     if failure <= 0.0 {
         return 1;
     }

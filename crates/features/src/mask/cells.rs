@@ -72,7 +72,7 @@ impl Cells {
     }
 
     /// Share of the cells that are not zero.
-    pub(super) fn share(&self) -> f64 {
+    pub(super) fn fraction(&self) -> f64 {
         self.counts.iter().filter(|&&count| count > 0).count() as f64 / self.counts.len().max(1) as f64
     }
 

@@ -43,10 +43,10 @@ fn sequence(motions: &[(f64, f64, f64)], fixed: bool) -> Sequence {
 }
 
 impl Sequence {
-    fn search(&self) -> CameraFixed {
+    fn search(&self) -> EgoMask {
         let pairs: Vec<_> =
             self.0.iter().map(|(a, b, matches)| MatchedPair { positions_a: a, positions_b: b, matches }).collect();
-        find_camera_fixed(640, 480, &pairs, &MaskOptions::default()).unwrap()
+        find_ego_mask(640, 480, &pairs, &MaskOptions::default()).unwrap()
     }
 }
 
@@ -74,13 +74,13 @@ fn what_stands_still_is_masked_and_the_scene_is_not() {
     assert!(covered(&found.mask, 0..130, 350..480) > 0.97, "{}", covered(&found.mask, 0..130, 350..480));
     assert_eq!(covered(&found.mask, 200..640, 0..480), 0.0);
     assert_eq!(covered(&found.mask, 0..640, 0..280), 0.0);
-    assert!(found.masked_share < 0.12, "{}", found.masked_share);
+    assert!(found.masked_fraction < 0.12, "{}", found.masked_fraction);
 }
 
 #[test]
 fn a_scene_with_nothing_fixed_is_not_masked() {
     let found = sequence(&MOTIONS, false).search();
-    assert_eq!((found.outcome, found.masked_share), (MaskOutcome::NothingFixed, 0.0));
+    assert_eq!((found.outcome, found.masked_fraction), (MaskOutcome::NothingFixed, 0.0));
     assert!(found.mask.pixels().all(|pixel| pixel.0 == [255]));
 }
 
@@ -90,7 +90,7 @@ fn a_camera_that_hardly_moves_masks_nothing() {
         let found = sequence(&motions, true).search();
         assert_eq!((found.outcome, found.moving_pairs), (MaskOutcome::CameraHardlyMoved, 0));
     }
-    let none = find_camera_fixed(640, 480, &[], &MaskOptions::default()).unwrap();
+    let none = find_ego_mask(640, 480, &[], &MaskOptions::default()).unwrap();
     assert_eq!(none.outcome, MaskOutcome::CameraHardlyMoved);
 }
 
@@ -121,8 +121,8 @@ fn masks_are_applied_by_the_nearest_pixel() {
 #[test]
 fn wrong_options_are_refused() {
     let options = MaskOptions { scene_moves_px: 1.5, ..MaskOptions::default() };
-    assert!(matches!(find_camera_fixed(10, 10, &[], &options), Err(FeaturesError::BadOption { .. })));
-    assert!(find_camera_fixed(0, 10, &[], &MaskOptions::default()).is_err());
+    assert!(matches!(find_ego_mask(10, 10, &[], &options), Err(FeaturesError::BadOption { .. })));
+    assert!(find_ego_mask(0, 10, &[], &MaskOptions::default()).is_err());
 }
 
 #[test]
@@ -146,9 +146,9 @@ fn the_gripper_of_the_shelf_is_found() {
         found.outcome,
         found.moving_pairs,
         found.pairs,
-        found.still_matches,
+        found.static_matches,
         found.scene_matches,
-        100.0 * found.masked_share
+        100.0 * found.masked_fraction
     );
     if let Ok(path) = std::env::var("SKCLAM_MASK_OUT") {
         found.mask.save(path).unwrap();
@@ -162,13 +162,13 @@ fn the_gripper_of_the_shelf_is_found() {
     // With the mask, hardly anything is left that stands still, and nearly all of the scene.
     let kept: Vec<Features> = features.iter().map(|features| keep_unmasked(features, &found.mask)).collect();
     let again = search_images(&kept);
-    println!("with the mask: {} still, {} scene matches", again.still_matches, again.scene_matches);
-    assert!(again.still_matches * 10 < found.still_matches, "{} still", again.still_matches);
+    println!("with the mask: {} still, {} scene matches", again.static_matches, again.scene_matches);
+    assert!(again.static_matches * 10 < found.static_matches, "{} still", again.static_matches);
     assert!(again.scene_matches * 10 > found.scene_matches * 9, "{} of the scene", again.scene_matches);
 }
 
 /// All pairs of images of 640 x 480.
-fn search_images(features: &[Features]) -> CameraFixed {
+fn search_images(features: &[Features]) -> EgoMask {
     let positions: Vec<Vec<Point2<f64>>> = features
         .iter()
         .map(|f| f.keypoints.iter().map(|k| Point2::new(f64::from(k.x), f64::from(k.y))).collect())
@@ -185,5 +185,5 @@ fn search_images(features: &[Features]) -> CameraFixed {
         .iter()
         .map(|(a, b, matches)| MatchedPair { positions_a: &positions[*a], positions_b: &positions[*b], matches })
         .collect();
-    find_camera_fixed(640, 480, &pairs, &MaskOptions::default()).unwrap()
+    find_ego_mask(640, 480, &pairs, &MaskOptions::default()).unwrap()
 }

@@ -29,9 +29,9 @@ impl Cubic {
             [[0.0, -0.5, 1.0, -0.5], [1.0, 0.0, -2.5, 1.5], [0.0, 0.5, 2.0, -1.5], [0.0, 0.0, -0.5, 0.5]];
         const B_SPLINE: [[f64; 4]; 4] =
             [[1.0, -3.0, 3.0, -1.0], [4.0, 0.0, -6.0, 3.0], [1.0, 3.0, 3.0, -3.0], [0.0, 0.0, 0.0, 1.0]];
-        let share = (variance_px2 / SPLINE_PX2).clamp(0.0, 1.0);
+        let fraction = (variance_px2 / SPLINE_PX2).clamp(0.0, 1.0);
         let blend = |sample: usize, power: usize| {
-            ((1.0 - share) * CATMULL_ROM[sample][power] + share * B_SPLINE[sample][power] / 6.0) as f32
+            ((1.0 - fraction) * CATMULL_ROM[sample][power] + fraction * B_SPLINE[sample][power] / 6.0) as f32
         };
         Cubic(std::array::from_fn(|power| std::array::from_fn(|sample| blend(sample, power))))
     }

@@ -31,19 +31,19 @@ pub trait WarpPrediction: Sync {
 /// Where the point of a track is in one of its images.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TrackPoint {
-    /// This sighting names the point: it is where its keypoint is, by definition.
+    /// This observation names the point: it is where its keypoint is, by definition.
     Reference {
         /// The keypoint's position, px.
         position: Point2<f64>,
     },
     /// Aligned with the reference.
     Refined(Refined),
-    /// Not aligned: the sighting shows something else, or not well enough.
+    /// Not aligned: the observation shows something else, or not well enough.
     Rejected(Rejection),
 }
 
 impl TrackPoint {
-    /// Position in px and covariance in px², if the sighting is to be used; `reference_sigma_px` is what the reference
+    /// Position in px and covariance in px², if the observation is to be used; `reference_sigma_px` is what the reference
     /// is granted. The noise of the reference's patch is in the covariance of the others, so it need only cover what
     /// the model of the camera leaves.
     pub fn measurement(&self, reference_sigma_px: f64) -> Option<(Point2<f64>, Matrix2<f64>)> {
@@ -60,7 +60,7 @@ impl TrackPoint {
 /// The refined points of [`Tracks`].
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RefinedTracks {
-    /// One a observation, in the order of [`Tracks::observations`].
+    /// One an observation, in the order of [`Tracks::observations`].
     pub points: Vec<TrackPoint>,
 }
 
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn each_sighting_has_one_position_and_a_wrong_one_is_rejected() {
+    fn each_observation_has_one_position_and_a_wrong_one_is_rejected() {
         let shifts = [(0.0, 0.0), (5.3, -2.6), (-3.75, 4.2), (8.5, 1.1)];
         let pyramids: Vec<Pyramid> = shifts.iter().map(|(dx, dy)| Pyramid::new(&pattern(*dx, *dy))).collect();
         let keypoint = |x: f64, y: f64, response: f32| KeyPoint {

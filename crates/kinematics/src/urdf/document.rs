@@ -8,7 +8,7 @@ use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
 /// More nodes than this are not a robot; it bounds the memory.
-const MOST_NODES: u32 = 4_000_000;
+const MAX_NODES: u32 = 4_000_000;
 
 /// What to do about a xacro.
 const EXPAND: &str =
@@ -77,7 +77,7 @@ pub(super) fn refuse(line: u32, problem: impl Into<String>) -> KinematicsError {
 
 impl<'a> Document<'a> {
     pub(super) fn parse(text: &'a str) -> Result<Self, KinematicsError> {
-        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
         let tree = roxmltree::Document::parse_with_options(text, options).map_err(|error| {
             let problem = if text.contains("<xacro:") { EXPAND.to_owned() } else { format!("not XML: {error}") };
             refuse(error.pos().row, problem)
@@ -172,7 +172,7 @@ impl<'a> Document<'a> {
 
     /// The text's elements, once more.
     pub(super) fn tree(&self) -> Result<roxmltree::Document<'a>, KinematicsError> {
-        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
         roxmltree::Document::parse_with_options(self.text, options)
             .map_err(|error| refuse(error.pos().row, error.to_string()))
     }

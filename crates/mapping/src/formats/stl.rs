@@ -29,7 +29,7 @@ pub fn write_stl(mesh: &TriangleMesh, mut out: impl Write) -> Result<(), Error> 
 }
 
 /// Most triangles that are read: more than any robot's collision geometry has.
-const MOST_TRIANGLES: usize = 20_000_000;
+const MAX_TRIANGLES: usize = 20_000_000;
 
 /// Reads an STL, binary or text, in the unit of the file; corners are not shared between triangles.
 ///
@@ -38,10 +38,10 @@ const MOST_TRIANGLES: usize = 20_000_000;
 pub fn read_stl(mut source: impl Read) -> Result<TriangleMesh, Error> {
     let refuse = |reason: String| Error::Format { format: "STL", reason };
     let mut bytes = Vec::new();
-    let limit = 84 + 50 * MOST_TRIANGLES as u64;
+    let limit = 84 + 50 * MAX_TRIANGLES as u64;
     source.by_ref().take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
-        return Err(refuse(format!("it has more than {MOST_TRIANGLES} triangles")));
+        return Err(refuse(format!("it has more than {MAX_TRIANGLES} triangles")));
     }
     let count =
         bytes.get(80..84).map_or(0, |count| u32::from_le_bytes([count[0], count[1], count[2], count[3]]) as usize);

@@ -5,7 +5,7 @@
 //! window and `d` the difference to the pixel's own. Where all of the window lies on one surface, which is so for most
 //! of an image, its moments are constants; elsewhere each pixel brings its own.
 
-use super::{MOST_BENT, PatchFitter, PatchRow};
+use super::{MAX_BENT, PatchFitter, PatchRow};
 use multiversion::multiversion;
 
 /// Pixels that are fitted together as long as their windows are complete, and where they are not.
@@ -65,14 +65,14 @@ impl<'a, const N: usize> Run<'a, N> {
         };
         let (ray_x, ray_y) = fitter.rays.row(y);
         let (pitch_x, pitch_y) = fitter.rays.pixel_pitch();
-        let (share, floor, quadratic) = fitter.filter.step_coefficients();
+        let (fraction, floor, quadratic) = fitter.filter.step_coefficients();
         let reach = (unit * fitter.window.thinning) as f32;
         let noise = &fitter.filter.noise;
         // The distortion's local scale, within a few percent of 1 in usual cameras, is left out.
         let scales = Scales {
-            step: (share * reach, floor * reach, quadratic * reach),
+            step: (fraction * reach, floor * reach, quadratic * reach),
             per_unit: [1.0 / (unit as f32 * pitch_x), 1.0 / (unit as f32 * pitch_y)],
-            sigma: (noise.floor_m as f32, noise.quadratic_per_m as f32),
+            sigma: (noise.floor_m as f32, noise.depth_sigma_per_m2 as f32),
         };
         let around = WINDOW.map(|(column, line)| row(column, line));
         Run { here: row(0, 0), around, ray: [part(ray_x, at), part(ray_y, at)], scales }
@@ -83,8 +83,8 @@ impl Scales {
     /// Difference in inverse depth up to which a neighbour one unit away lies on the same surface.
     #[inline(always)]
     fn tolerance(&self, z: f32, inverse: f32) -> f32 {
-        let (share, floor, quadratic) = self.step;
-        (z * share + floor + z * z * quadratic) * inverse * inverse
+        let (fraction, floor, quadratic) = self.step;
+        (z * fraction + floor + z * z * quadratic) * inverse * inverse
     }
 
     /// Normal and depth of a pixel from its fit.
@@ -99,7 +99,7 @@ impl Scales {
         let scale = -1.0 / squared.sqrt();
         let normal = [a, b, c].map(|value| if good { value * scale } else { 0.0 });
         let sigma = (z * z * self.sigma.1 + self.sigma.0) * inverse * inverse;
-        let flat = good & (fit.variance <= sigma * sigma * MOST_BENT) & (fitted > 0.0);
+        let flat = good & (fit.variance <= sigma * sigma * MAX_BENT) & (fitted > 0.0);
         (normal, if flat { 1.0 / fitted } else { z })
     }
 }
@@ -174,15 +174,15 @@ pub(super) fn fit_partial(fitter: &PatchFitter<'_>, y: usize, at: usize, out: &m
             sld += d * l;
             sdd += d * d;
         }
-        let share = 1.0 / count;
-        let (ckk, ckl, cll) = (skk - sk * sk * share, skl - sk * sl * share, sll - sl * sl * share);
-        let (ckd, cld) = (skd - sk * sd * share, sld - sl * sd * share);
+        let fraction = 1.0 / count;
+        let (ckk, ckl, cll) = (skk - sk * sk * fraction, skl - sk * sl * fraction, sll - sl * sl * fraction);
+        let (ckd, cld) = (skd - sk * sd * fraction, sld - sl * sd * fraction);
         let determinant = ckk * cll - ckl * ckl;
         let spans = (count >= FEWEST) & (ckk > 0.0) & (cll > 0.0) & (determinant > ckk * cll * NARROWEST);
         let inverse_determinant = 1.0 / determinant;
         let slope = [(ckd * cll - cld * ckl) * inverse_determinant, (cld * ckk - ckd * ckl) * inverse_determinant];
-        let at_centre = (sd - slope[0] * sk - slope[1] * sl) * share;
-        let rest = sdd - sd * sd * share - slope[0] * ckd - slope[1] * cld;
+        let at_centre = (sd - slope[0] * sk - slope[1] * sl) * fraction;
+        let rest = sdd - sd * sd * fraction - slope[0] * ckd - slope[1] * cld;
         let variance = rest.max(0.0) / (count - 3.0);
         let fit = Fit { slope, at_centre, variance, good: spans & (z > 0.0) };
         ([nx[x], ny[x], nz[x]], depth[x]) = scales.patch(z, inverse, [ray_x[x], ray_y[x]], &fit);

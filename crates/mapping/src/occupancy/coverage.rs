@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Cells between free space and the surface that closes it: those that the surface's noise leaves undecided.
 const CLOSING_CELLS: i32 = 3;
 /// Cells that a question may be about.
-const MOST_CELLS: f64 = 1e8;
+const MAX_CELLS: f64 = 1e8;
 const SIDES: [[i32; 3]; 6] = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]];
 
 /// The border of the free space.
@@ -22,7 +22,7 @@ pub struct FreeBoundary {
 
 impl FreeBoundary {
     /// Open part of the whole; `None` without free space.
-    pub fn open_share(&self) -> Option<f64> {
+    pub fn open_fraction(&self) -> Option<f64> {
         let whole = self.closed_m2 + self.open_m2;
         (whole > 0.0).then(|| self.open_m2 / whole)
     }
@@ -32,9 +32,9 @@ impl OccupancyGrid {
     /// Share of a ball's cells (those whose centres it holds) that was seen to be free or occupied; base frame, metres.
     ///
     /// An error for a ball without size, or of more than 100 million cells.
-    pub fn observed_share_of_ball(&self, centre_in_base: Point3<f64>, radius_m: f64) -> Result<f64, Error> {
+    pub fn observed_fraction_of_ball(&self, centre_in_base: Point3<f64>, radius_m: f64) -> Result<f64, Error> {
         let cell_m = self.options.resolution_m;
-        if !(radius_m > 0.0 && (2.0 * radius_m / cell_m).powi(3) <= MOST_CELLS) {
+        if !(radius_m > 0.0 && (2.0 * radius_m / cell_m).powi(3) <= MAX_CELLS) {
             return Err(Error::Option {
                 option: "radius_m",
                 value: radius_m.to_string(),
@@ -110,19 +110,19 @@ mod tests {
         let depth = wall(120, 90, 1.01);
         let options = OccupancyOptions { resolution_m: 0.02, ..Default::default() };
         let mut grid = OccupancyGrid::new(options).unwrap();
-        assert_eq!(grid.free_boundary().open_share(), None);
-        assert_eq!(grid.observed_share_of_ball(Point3::origin(), 0.2).unwrap(), 0.0);
+        assert_eq!(grid.free_boundary().open_fraction(), None);
+        assert_eq!(grid.observed_fraction_of_ball(Point3::origin(), 0.2).unwrap(), 0.0);
         grid.add(&view(&depth, &camera)).unwrap();
-        let before = grid.observed_share_of_ball(Point3::new(0.0, 0.0, 0.7), 0.15).unwrap();
-        let across = grid.observed_share_of_ball(Point3::new(0.0, 0.0, 1.01), 0.15).unwrap();
+        let before = grid.observed_fraction_of_ball(Point3::new(0.0, 0.0, 0.7), 0.15).unwrap();
+        let across = grid.observed_fraction_of_ball(Point3::new(0.0, 0.0, 1.01), 0.15).unwrap();
         assert!(before > 0.99, "{before}");
         assert!((0.3..0.6).contains(&across), "{across}");
         // The wall is 1.1 by 0.83 m; the rest of the border are the sides of the camera's cone.
         let boundary = grid.free_boundary();
         assert!((0.8..1.0).contains(&boundary.closed_m2), "{boundary:?}");
-        assert!((0.5..0.9).contains(&boundary.open_share().unwrap()), "{boundary:?}");
-        assert!(grid.observed_share_of_ball(Point3::origin(), f64::NAN).is_err());
-        assert!(grid.observed_share_of_ball(Point3::origin(), 1e9).is_err());
-        assert!(grid.observed_share_of_ball(Point3::new(f64::NAN, 0.0, 0.0), 1.0).is_err());
+        assert!((0.5..0.9).contains(&boundary.open_fraction().unwrap()), "{boundary:?}");
+        assert!(grid.observed_fraction_of_ball(Point3::origin(), f64::NAN).is_err());
+        assert!(grid.observed_fraction_of_ball(Point3::origin(), 1e9).is_err());
+        assert!(grid.observed_fraction_of_ball(Point3::new(f64::NAN, 0.0, 0.0), 1.0).is_err());
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Instead of casting a ray through every pixel, every cell in the camera's view is looked up in the depth image: it is
 //! free if *all* of it lies in front of *everything* that is seen within its outline (a pyramid of minima answers
-//! that), by three standard deviations of the noise. It is hit if a believed pixel's point lies in it. What is
+//! that), by three standard deviations of the noise. It is hit if a valid pixel's point lies in it. What is
 //! neither stays as it was: behind surfaces, at the edges of things, and where the camera saw nothing.
 
 mod coverage;
@@ -31,7 +31,7 @@ pub(crate) const INDEX_LIMIT: i32 = 1 << 15;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OccupancyOptions {
-    /// Which depth pixels are believed.
+    /// Which depth pixels are valid.
     pub filter: DepthFilter,
     /// Edge of a cell, metres.
     pub resolution_m: f64,

@@ -32,7 +32,7 @@ impl DepthPyramid {
         // Blended pixels at edges lie between two surfaces: they hide less than the nearer one does, so edges are not
         // removed here but only from the hits.
         let filter = DepthFilter { edge_margin_px: 0, ..options.filter };
-        let depth = view.believed_depth_along(&filter, rays);
+        let depth = view.valid_depth_along(&filter, rays);
         let base = Level {
             width: camera.width as usize,
             height: camera.height as usize,
@@ -202,14 +202,14 @@ impl DepthPyramid {
     }
 }
 
-/// Cells that hold the point of a believed pixel, by block; sorted, no two alike.
+/// Cells that hold the point of a valid pixel, by block; sorted, no two alike.
 fn hits(
     view: &View<'_>,
     rays: &Rays,
     options: &OccupancyOptions,
     base_from_depth: &Isometry3<f64>,
 ) -> Result<VoxelMap<Vec<u16>>, Error> {
-    let depth = view.believed_depth_along(&options.filter, rays);
+    let depth = view.valid_depth_along(&options.filter, rays);
     let mut hits: VoxelMap<Vec<u16>> = VoxelMap::default();
     let limit_m = options.resolution_m * f64::from(INDEX_LIMIT);
     // Neighbouring pixels mostly lie in one cell.

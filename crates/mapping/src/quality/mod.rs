@@ -1,15 +1,17 @@
 //! How good a map is: how well the views agree among themselves, and how far it is from a reference surface.
 
-mod gaps;
+mod depth_consistency;
 mod reference;
 
-pub use gaps::{GapOptions, GapSample, PairGap, SurfaceGaps, surface_gaps};
+pub use depth_consistency::{
+    DepthConsistency, DepthConsistencyOptions, PairConsistency, PointToPlaneSample, depth_consistency,
+};
 pub use reference::{DistanceSummary, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceScore, score_surface};
 
 /// The value below which a share of a list lies; the list is reordered. `None` for an empty list.
-fn quantile(values: &mut [f32], share: f64) -> Option<f64> {
+fn quantile(values: &mut [f32], fraction: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
-    let place = (share * last as f64).round() as usize;
+    let place = (fraction * last as f64).round() as usize;
     let (_, value, _) = values.select_nth_unstable_by(place, f32::total_cmp);
     Some(f64::from(*value))
 }

@@ -15,7 +15,7 @@ use skclam_geometry::Point3;
 pub const SCORE_THRESHOLDS_M: [f64; 3] = [0.005, 0.010, 0.020];
 
 /// Most samples of a surface: more say nothing more.
-const MOST_SAMPLES: usize = 5_000_000;
+const MAX_SAMPLES: usize = 5_000_000;
 
 /// Closer before a sample than this, metres, its own triangle and its neighbours are met.
 const HIDING_CLEARANCE_M: f32 = 0.003;
@@ -117,7 +117,7 @@ fn summary(index: &SurfaceIndex, samples: &[[f32; 3]], limit_m: f64) -> Result<D
 fn samples(model: &Model, spacing_m: f64) -> Vec<[f32; 3]> {
     let points = &model.points().points;
     if model.triangles().is_empty() {
-        let stride = points.len().div_ceil(MOST_SAMPLES).max(1);
+        let stride = points.len().div_ceil(MAX_SAMPLES).max(1);
         return points.iter().step_by(stride).copied().collect();
     }
     let corners = |triangle: &[u32; 3]| triangle.map(|corner| Vector3::from(points[corner as usize]).cast::<f64>());
@@ -126,7 +126,7 @@ fn samples(model: &Model, spacing_m: f64) -> Vec<[f32; 3]> {
         0.5 * (b - a).cross(&(c - a)).norm()
     };
     let total: f64 = model.triangles().iter().map(area).sum();
-    let per_sample = (spacing_m * spacing_m).max(total / MOST_SAMPLES as f64);
+    let per_sample = (spacing_m * spacing_m).max(total / MAX_SAMPLES as f64);
     let mut samples = Vec::with_capacity((total / per_sample) as usize + 1);
     let mut owed = 0.5;
     // Additive recurrence with the plastic number: even in two dimensions (Roberts 2018).
@@ -153,7 +153,7 @@ fn observed(
 ) -> Vec<[f32; 3]> {
     let mut seen = vec![false; samples.len()];
     for view in views {
-        let depth = view.believed_depth(&options.filter);
+        let depth = view.valid_depth(&options.filter);
         let camera = &view.depth_camera.camera;
         let depth_from_base = view.base_from_depth().inverse();
         let eye: [f32; 3] = view.base_from_depth().translation.vector.cast::<f32>().into();

@@ -186,7 +186,7 @@ mod tests {
     use crate::PointCloud;
 
     #[test]
-    fn from_above_the_base_x_axis_points_up_in_the_picture_and_y_left() {
+    fn from_above_the_base_x_axis_points_up_in_the_image_and_y_left() {
         let projection = Projection::Orthographic { height_m: 2.0 };
         let camera = RenderCamera::looking_at(Point3::new(0.0, 0.0, 3.0), Point3::origin(), projection, 10, 10);
         let seen = camera.base_from_eye.inverse_transform_point(&Point3::new(1.0, 0.5, 0.0));
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn every_preset_has_the_map_in_its_picture() {
+    fn every_preset_has_the_map_in_its_image() {
         let points =
             (0..1000).map(|i| [2.0 + (i % 10) as f32 * 0.1, (i / 10 % 10) as f32 * 0.2, (i / 100) as f32 * 0.05]);
         let model: Model = PointCloud { points: points.collect(), ..Default::default() }.into();

@@ -98,8 +98,8 @@ pub fn render(model: &Model, camera: &RenderCamera, options: &RenderOptions) -> 
 pub fn side_by_side(left: &RgbImage, right: &RgbImage, gap: u32, background: [u8; 3]) -> RgbImage {
     let height = left.height().max(right.height());
     let mut both = RgbImage::from_pixel(left.width() + gap + right.width(), height, Rgb(background));
-    for (picture, offset) in [(left, 0), (right, left.width() + gap)] {
-        for (x, y, pixel) in picture.enumerate_pixels() {
+    for (image, offset) in [(left, 0), (right, left.width() + gap)] {
+        for (x, y, pixel) in image.enumerate_pixels() {
             both.put_pixel(x + offset, y, *pixel);
         }
     }
@@ -140,15 +140,15 @@ mod tests {
         triangles.extend(upper_triangles);
         let mut mesh = TriangleMesh { vertices, triangles };
         let options = RenderOptions { eye_dome: 0.0, headlight: 0.0, ..Default::default() };
-        let picture = render(&mesh.clone().into(), &above(50, 50), &options).unwrap();
-        assert_eq!(picture.get_pixel(25, 25).0, [0, 0, 255]);
-        assert_eq!(picture.get_pixel(0, 0).0, [255; 3], "the background");
+        let image = render(&mesh.clone().into(), &above(50, 50), &options).unwrap();
+        assert_eq!(image.get_pixel(25, 25).0, [0, 0, 255]);
+        assert_eq!(image.get_pixel(0, 0).0, [255; 3], "the background");
         for triangle in &mut mesh.triangles[2..] {
             triangle.reverse();
         }
         mesh.vertices.normals.clear();
-        let picture = render(&mesh.clone().into(), &above(50, 50), &options).unwrap();
-        assert_eq!(picture.get_pixel(25, 25).0, [255, 0, 0], "the upper one shows its back");
+        let image = render(&mesh.clone().into(), &above(50, 50), &options).unwrap();
+        assert_eq!(image.get_pixel(25, 25).0, [255, 0, 0], "the upper one shows its back");
         let drawn = RenderOptions { back_faces: BackFaces::Drawn, ..options };
         assert_eq!(render(&mesh.into(), &above(50, 50), &drawn).unwrap().get_pixel(25, 25).0, [0, 0, 255]);
     }
@@ -157,9 +157,9 @@ mod tests {
     fn a_point_is_a_disc_of_its_radius_where_the_camera_sees_it() {
         let cloud = PointCloud { points: vec![[0.5, 0.25, 0.0]], ..Default::default() };
         let options = RenderOptions { point_radius_m: 0.2, eye_dome: 0.0, supersampling: 1, ..Default::default() };
-        let picture = render(&cloud.into(), &above(100, 100), &options).unwrap();
+        let image = render(&cloud.into(), &above(100, 100), &options).unwrap();
         let drawn: Vec<(u32, u32)> =
-            picture.enumerate_pixels().filter(|(_, _, p)| p.0 != [255; 3]).map(|(x, y, _)| (x, y)).collect();
+            image.enumerate_pixels().filter(|(_, _, p)| p.0 != [255; 3]).map(|(x, y, _)| (x, y)).collect();
         // 100 px over 2.5 m: 40 px/m, so 8 px of radius around (49.5 + 20, 49.5 - 10).
         let area = drawn.len() as f64;
         assert!((area - std::f64::consts::PI * 64.0).abs() < 15.0, "{area}");
@@ -179,13 +179,13 @@ mod tests {
             base_from_eye: Isometry3::identity(),
         };
         let options = RenderOptions { back_faces: BackFaces::Drawn, ..Default::default() };
-        let picture = render(&mesh.into(), &camera, &options).unwrap();
-        assert_ne!(picture.get_pixel(32, 60).0, [255; 3], "the floor");
-        assert_eq!(picture.get_pixel(32, 10).0, [255; 3], "the sky");
+        let image = render(&mesh.into(), &camera, &options).unwrap();
+        assert_ne!(image.get_pixel(32, 60).0, [255; 3], "the floor");
+        assert_eq!(image.get_pixel(32, 10).0, [255; 3], "the sky");
     }
 
     #[test]
-    fn the_same_picture_on_any_number_of_threads() {
+    fn the_same_image_on_any_number_of_threads() {
         let points: Vec<[f32; 3]> =
             (0..4000).map(|i| [(i as f32 * 0.37).sin(), (i as f32 * 0.71).cos(), (i % 7) as f32 * 0.1]).collect();
         let colors = (0..4000).map(|i| [i as u8, (i / 3) as u8, 40]).collect();
@@ -200,10 +200,10 @@ mod tests {
     }
 
     #[test]
-    fn empty_maps_give_empty_pictures_and_bad_options_errors() {
+    fn empty_maps_give_empty_images_and_bad_options_errors() {
         let empty: Model = PointCloud::default().into();
-        let picture = render(&empty, &above(10, 10), &RenderOptions::default()).unwrap();
-        assert!(picture.pixels().all(|pixel| pixel.0 == [255; 3]));
+        let image = render(&empty, &above(10, 10), &RenderOptions::default()).unwrap();
+        assert!(image.pixels().all(|pixel| pixel.0 == [255; 3]));
         let bad = RenderOptions { supersampling: 9, ..Default::default() };
         assert!(matches!(render(&empty, &above(10, 10), &bad), Err(Error::Option { .. })));
         let mut blind = above(10, 10);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn two_pictures_stand_beside_each_other() {
+    fn two_images_stand_beside_each_other() {
         let both = side_by_side(&RgbImage::new(4, 2), &RgbImage::new(3, 5), 2, [9, 9, 9]);
         assert_eq!(both.dimensions(), (9, 5));
         assert_eq!(both.get_pixel(4, 0).0, [9; 3]);

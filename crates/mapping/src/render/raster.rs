@@ -249,10 +249,10 @@ fn clipped(corners: [Corner; 3]) -> Vec<[Corner; 3]> {
             polygon.push(from);
         }
         if (from.in_eye.z >= NEAR) != (to.in_eye.z >= NEAR) {
-            let share = (NEAR - from.in_eye.z) / (to.in_eye.z - from.in_eye.z);
+            let fraction = (NEAR - from.in_eye.z) / (to.in_eye.z - from.in_eye.z);
             polygon.push(Corner {
-                in_eye: from.in_eye.lerp(&to.in_eye, share),
-                color: std::array::from_fn(|c| from.color[c] + share * (to.color[c] - from.color[c])),
+                in_eye: from.in_eye.lerp(&to.in_eye, fraction),
+                color: std::array::from_fn(|c| from.color[c] + fraction * (to.color[c] - from.color[c])),
             });
         }
     }
@@ -280,26 +280,26 @@ fn fill_triangle(
     for y in top..bottom {
         for x in left..right {
             let (px, py) = (x as f32, y as f32);
-            let share_b = ((px - a.x) * (c.y - a.y) - (py - a.y) * (c.x - a.x)) / area;
-            let share_c = ((b.x - a.x) * (py - a.y) - (b.y - a.y) * (px - a.x)) / area;
-            let share_a = 1.0 - share_b - share_c;
-            if share_a < 0.0 || share_b < 0.0 || share_c < 0.0 {
+            let fraction_b = ((px - a.x) * (c.y - a.y) - (py - a.y) * (c.x - a.x)) / area;
+            let fraction_c = ((b.x - a.x) * (py - a.y) - (b.y - a.y) * (px - a.x)) / area;
+            let fraction_a = 1.0 - fraction_b - fraction_c;
+            if fraction_a < 0.0 || fraction_b < 0.0 || fraction_c < 0.0 {
                 continue;
             }
             // In perspective the inverse depth is linear on the screen, and colours go with it.
-            let shares = [share_a, share_b, share_c];
-            let (z, shares) = if perspective {
-                let weighted = [share_a / a.z, share_b / b.z, share_c / c.z];
+            let fractions = [fraction_a, fraction_b, fraction_c];
+            let (z, fractions) = if perspective {
+                let weighted = [fraction_a / a.z, fraction_b / b.z, fraction_c / c.z];
                 let z = 1.0 / (weighted[0] + weighted[1] + weighted[2]);
                 (z, weighted.map(|weight| weight * z))
             } else {
-                (share_a * a.z + share_b * b.z + share_c * c.z, shares)
+                (fraction_a * a.z + fraction_b * b.z + fraction_c * c.z, fractions)
             };
             let pixel = (y - first_row) * width + x;
             if z < depth[pixel] {
                 depth[pixel] = z;
                 color[pixel] = std::array::from_fn(|channel| {
-                    (0..3).map(|corner| shares[corner] * piece[corner].color[channel]).sum()
+                    (0..3).map(|corner| fractions[corner] * piece[corner].color[channel]).sum()
                 });
             }
         }

@@ -161,17 +161,17 @@ fn part(tsdf: &Tsdf, index: [i32; 3], block: &Block, voxel_m: f64, min_weight: f
                 continue;
             }
             part.crossed[axis][voxel / 64] |= 1 << (voxel % 64);
-            let share = f64::from(from / (from - to));
+            let fraction = f64::from(from / (from - to));
             part.points.push(std::array::from_fn(|a| {
                 let cell = f64::from(index[a]) * BLOCK_EDGE as f64 + at[a] as f64 + 0.5;
-                ((cell + if a == axis { share } else { 0.0 }) * voxel_m) as f32
+                ((cell + if a == axis { fraction } else { 0.0 }) * voxel_m) as f32
             }));
             let mut other = at;
             other[axis] += 1;
             let corner = (0..3).fold(0, |corner, a| corner | (other[a] / BLOCK_EDGE) << a);
             let [x, y, z] = other.map(|index| index % BLOCK_EDGE);
             let other = around[corner].expect("its distance is known").color(voxel_of(x, y, z));
-            part.colors.push(mixed(block.color(voxel), other, share as f32));
+            part.colors.push(mixed(block.color(voxel), other, fraction as f32));
         }
     }
     for voxel in 0..BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE {
@@ -196,14 +196,14 @@ fn part(tsdf: &Tsdf, index: [i32; 3], block: &Block, voxel_m: f64, min_weight: f
 }
 
 /// The colour between two voxels, as far as they have one.
-fn mixed(from: [u16; 4], to: [u16; 4], share: f32) -> Option<[u8; 3]> {
+fn mixed(from: [u16; 4], to: [u16; 4], fraction: f32) -> Option<[u8; 3]> {
     let value = |color: [u16; 4], channel: usize| f32::from(color[channel]) / 256.0;
     match (from[3] > 0, to[3] > 0) {
         (false, false) => None,
         (true, false) => Some(std::array::from_fn(|c| to_byte(value(from, c)))),
         (false, true) => Some(std::array::from_fn(|c| to_byte(value(to, c)))),
         (true, true) => {
-            Some(std::array::from_fn(|c| to_byte(value(from, c) + share * (value(to, c) - value(from, c)))))
+            Some(std::array::from_fn(|c| to_byte(value(from, c) + fraction * (value(to, c) - value(from, c)))))
         }
     }
 }

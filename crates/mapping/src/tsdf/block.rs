@@ -16,7 +16,7 @@ pub(crate) struct VoxelRow {
     pub(crate) distance: Row,
     /// Sum of weights; 0 = never seen.
     pub(crate) weight: Row,
-    /// Red, green, blue in 1/256 steps, and how many pixels went in, up to [`MOST_COLORS`].
+    /// Red, green, blue in 1/256 steps, and how many pixels went in, up to [`MAX_COLORS`].
     pub(crate) color: [Row<u16>; 4],
 }
 
@@ -30,7 +30,7 @@ pub(crate) struct Block {
 }
 
 /// A colour becomes a running mean over this many pixels.
-pub(crate) const MOST_COLORS: u16 = 64;
+pub(crate) const MAX_COLORS: u16 = 64;
 
 impl Block {
     /// Red, green, blue and count of a voxel, `(z * 8 + y) * 8 + x`.

@@ -3,10 +3,10 @@
 use super::TsdfOptions;
 use super::cameras::{FrameCameras, thinning};
 use super::touched::Search;
-use crate::believed::{BelievedRows, RowScratch};
 use crate::color_lookup::{ColorLookup, ColorPlaces};
 use crate::normals::{InverseDepths, NormalWindow, PatchFitter, PatchRow};
 use crate::projector::Projector;
+use crate::valid_depth::{RowScratch, ValidRows};
 use crate::voxel::VoxelKey;
 use crate::{Error, View};
 use multiversion::multiversion;
@@ -17,7 +17,7 @@ use skclam_geometry::PinholeCamera;
 /// Pixels along the edge of a tile of [`Frame::farthest_in_tile`].
 pub(super) const TILE: usize = 16;
 /// A surface seen flatter than this (cosine) weighs no less.
-const LEAST_COSINE: f32 = 0.1;
+const MIN_COSINE: f32 = 0.1;
 
 /// What a voxel needs to know of the pixel it is seen at, in half a line of the cache.
 #[derive(Debug, Clone, Copy)]
@@ -108,7 +108,7 @@ impl<'a> Frame<'a> {
         }
 
         let window = NormalWindow::of_maps(thinning);
-        let believed = BelievedRows::new(view, &options.filter, Some(rays), thinning);
+        let valid = ValidRows::new(view, &options.filter, Some(rays), thinning);
         inverse.make_room(width, height, window);
         let bands = depth
             .par_chunks_mut(width * TILE)
@@ -119,7 +119,7 @@ impl<'a> Frame<'a> {
             let mut pixels = 0;
             tiles.fill(0.0);
             for (y, row) in rows.chunks_mut(width).enumerate() {
-                believed.row(band * TILE + y, row, scratch);
+                valid.row(band * TILE + y, row, scratch);
                 inverse.fill(y, row);
                 for (farthest, span) in tiles.iter_mut().zip(row.chunks(TILE)) {
                     *farthest = span.iter().fold(*farthest, |most, &z| if z > most { z } else { most });
@@ -135,7 +135,7 @@ impl<'a> Frame<'a> {
         let fitter = PatchFitter::with_inverse(depth, inverse, rays, &options.filter, window);
         let lookup = view.color.map(|image| (image, ColorLookup::new(view)));
         let noise = &options.filter.noise;
-        let noise = (noise.floor_m as f32, noise.quadratic_per_m as f32);
+        let noise = (noise.floor_m as f32, noise.depth_sigma_per_m2 as f32);
         let bands = surface[..length].par_chunks_mut(width * TILE).enumerate();
         let touched: Vec<Result<Vec<VoxelKey>, Error>> = bands
             .map_init(BandScratch::default, |BandScratch { patches, places, touched }, (band, rows)| {
@@ -184,7 +184,7 @@ fn fill_row(patches: &PatchRow, (ray_x, ray_y): (&[f32], &[f32]), (floor, quadra
         let ny = if fitted { ny[x] } else { -ray_y * inverse_range };
         let nz = if fitted { nz[x] } else { -inverse_range };
         let along_ray = nx * ray_x + ny * ray_y + nz;
-        let cosine = (-along_ray * inverse_range).max(LEAST_COSINE);
+        let cosine = (-along_ray * inverse_range).max(MIN_COSINE);
         let relative_sigma = sigma_at_1m / (floor + quadratic * z * z);
         row[x] = Pixel {
             depth: z,

@@ -1,6 +1,6 @@
 //! The update of a block's voxels from one image, a row of eight voxels at a time.
 
-use super::block::{MOST_COLORS, Row, VoxelRow};
+use super::block::{MAX_COLORS, Row, VoxelRow};
 use super::frame::{Frame, Pixel};
 use super::{BLOCK_EDGE, Block, Tsdf};
 use crate::projector::Projector;
@@ -66,7 +66,7 @@ impl Tsdf {
             next_layer: step(2),
             truncation_m: (options.truncation_voxels * options.voxel_m) as f32,
             sigmas_floor: (options.truncation_sigmas * noise.floor_m) as f32,
-            sigmas_quadratic: (options.truncation_sigmas * noise.quadratic_per_m) as f32,
+            sigmas_quadratic: (options.truncation_sigmas * noise.depth_sigma_per_m2) as f32,
             color_reach_m: (2.0 * options.voxel_m) as f32,
             falloff_m: options.voxel_m as f32,
             max_weight: options.max_weight as f32,
@@ -181,8 +181,8 @@ fn update_row(update: &Update<'_>, pixels: &Row<&Pixel>, depth: &Row, [px, py, p
     }
     for x in 0..BLOCK_EDGE {
         let total = voxels.weight[x] + weight[x];
-        let share = if total > 0.0 { weight[x] / total } else { 0.0 };
-        voxels.distance[x] += (distance[x] - voxels.distance[x]) * share;
+        let fraction = if total > 0.0 { weight[x] / total } else { 0.0 };
+        voxels.distance[x] += (distance[x] - voxels.distance[x]) * fraction;
         voxels.weight[x] = total.min(update.max_weight);
     }
     if any_near != 0 {
@@ -195,19 +195,19 @@ fn update_row(update: &Update<'_>, pixels: &Row<&Pixel>, depth: &Row, [px, py, p
 fn update_colors(pixels: &Row<&Pixel>, near: &Row<i32>, color: &mut [Row<u16>; 4]) {
     let new: Row<u32> = pixels.map(|pixel| u32::from_le_bytes(pixel.color));
     let [red, green, blue, count] = color;
-    let (mut taken, mut share) = ([0i32; BLOCK_EDGE], [0.0; BLOCK_EDGE]);
+    let (mut taken, mut fraction) = ([0i32; BLOCK_EDGE], [0.0; BLOCK_EDGE]);
     for x in 0..BLOCK_EDGE {
         // One where there is a colour and the voxel is near.
         taken[x] = (new[x] >> 24) as i32 & near[x];
-        let more = (i32::from(count[x]) + taken[x]).min(i32::from(MOST_COLORS));
+        let more = (i32::from(count[x]) + taken[x]).min(i32::from(MAX_COLORS));
         count[x] = more as u16;
-        share[x] = if taken[x] != 0 { 1.0 / more as f32 } else { 0.0 };
+        fraction[x] = if taken[x] != 0 { 1.0 / more as f32 } else { 0.0 };
     }
     for (channel, mean) in [red, green, blue].into_iter().enumerate() {
         for x in 0..BLOCK_EDGE {
             let old = f32::from(mean[x]);
             let new = ((new[x] >> (8 * channel)) & 0xff) as i32 as f32 * 256.0;
-            mean[x] = (old + (new - old) * share[x] + SHIFT).to_bits() as u16;
+            mean[x] = (old + (new - old) * fraction[x] + SHIFT).to_bits() as u16;
         }
     }
 }

@@ -46,7 +46,7 @@ pub enum SpaceCarving {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TsdfOptions {
-    /// Which depth pixels are believed.
+    /// Which depth pixels are valid.
     pub filter: DepthFilter,
     /// Edge of a voxel, metres; [`TsdfOptions::voxel_for`] chooses one.
     pub voxel_m: f64,
@@ -108,7 +108,7 @@ impl TsdfOptions {
 /// What one image did to the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Integration {
-    /// Depth pixels that were believed and fused: every second of every second row where voxels are wide in the image.
+    /// Depth pixels that were valid and fused: every second of every second row where voxels are wide in the image.
     pub pixels: usize,
     /// Blocks of 8 x 8 x 8 voxels that were updated.
     pub blocks_updated: usize,
@@ -145,7 +145,7 @@ impl Tsdf {
         })
     }
 
-    /// Fuses one view. On an error the map is as it was. A view without any believed pixel changes nothing.
+    /// Fuses one view. On an error the map is as it was. A view without any valid pixel changes nothing.
     pub fn integrate(&mut self, view: &View<'_>) -> Result<Integration, Error> {
         view.check()?;
         let mut buffers = std::mem::take(&mut self.buffers);

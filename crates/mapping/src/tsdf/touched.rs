@@ -43,7 +43,7 @@ impl<'a> Search<'a> {
             origin: frame.base_from_depth.translation.vector.cast(),
             truncation_m: (options.truncation_voxels * options.voxel_m) as f32,
             sigmas_floor: (options.truncation_sigmas * options.filter.noise.floor_m) as f32,
-            sigmas_quadratic: (options.truncation_sigmas * options.filter.noise.quadratic_per_m) as f32,
+            sigmas_quadratic: (options.truncation_sigmas * options.filter.noise.depth_sigma_per_m2) as f32,
             voxel_m: options.voxel_m,
             inverse_block: (1.0 / block_m) as f32,
         }

@@ -10,9 +10,9 @@ use skclam_damage::{ChaCha8Rng, Seed, Trial, damaged_bytes, damaged_text};
 use std::path::Path;
 
 /// An input may make so much be allocated, bytes: a message and what it decompresses to, twice.
-const MOST_ALLOCATED: usize = 300 << 20;
+const MAX_ALLOCATED: usize = 300 << 20;
 /// The same with SQLite, which the allocator does not count, and the harness, MiB resident.
-const MOST_RESIDENT_MIB: f64 = 400.0;
+const MAX_RESIDENT_MIB: f64 = 400.0;
 
 fn on_trial(reader: &str, seeds: &[Seed], damage: &dyn Fn(usize, &mut ChaCha8Rng) -> Vec<u8>) {
     Trial {
@@ -21,8 +21,8 @@ fn on_trial(reader: &str, seeds: &[Seed], damage: &dyn Fn(usize, &mut ChaCha8Rng
         damage,
         lay_down: &lay_down,
         read: &|path| read_all(path).is_ok(),
-        most_allocated: &|_| MOST_ALLOCATED,
-        most_resident_mib: MOST_RESIDENT_MIB,
+        max_allocated: &|_| MAX_ALLOCATED,
+        max_resident_mib: MAX_RESIDENT_MIB,
     }
     .run();
 }

@@ -1,7 +1,7 @@
 //! Which postures share what: the overlap graph.
 
 use crate::RunResult;
-use crate::figures::{Chart, Digits, Numbers, width_for};
+use crate::charts::{Chart, Digits, Numbers, width_for};
 use crate::page::Section;
 use serde_json::{Value, json};
 use skclam::report_data::ReportData;
@@ -105,7 +105,7 @@ fn graph(data: &ReportData) -> Chart {
     Chart {
         id: "overlap-graph",
         caption: format!(
-            "Each dot is a posture, where the camera was ({} against {} of the base frame); lines join postures whose images share matches. Dots with few \
+            "Each dot is a posture, where the camera was ({} against {} of the base frame); lines join postures whose images fraction matches. Dots with few \
              lines hang by little.",
             names[across], names[up]
         ),

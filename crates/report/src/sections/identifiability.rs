@@ -1,7 +1,7 @@
 //! What the data cannot tell, why, and what to record to see it.
 
 use crate::RunResult;
-use crate::figures::{Digits, Numbers};
+use crate::charts::{Digits, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::Value;

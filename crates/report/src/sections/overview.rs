@@ -1,36 +1,36 @@
-//! The first screen: verdict, traffic light, the figures that matter, the map in 3D.
+//! The first screen: verdict, traffic status, the metrics that matter, the map in 3D.
 
 use crate::RunResult;
-use crate::figures::{Digits, Numbers};
+use crate::charts::{Digits, Numbers};
 use crate::html::{escaped, script_json};
-use crate::judgement::{Light, judge};
+use crate::judgement::{Status, judge};
 use crate::page::Section;
 use serde_json::json;
 use skclam::report_data::ReportData;
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let judgement = judge(run);
-    let reasons: String = judgement
-        .reasons
+    let checks: String = judgement
+        .checks
         .iter()
-        .map(|(light, text)| {
+        .map(|(status, text)| {
             format!(
                 "<li class=\"{}\">{}<span><span class=\"sr\">{}: </span>{}</span></li>\n",
-                light.class(),
-                shape(*light),
-                light.word(),
+                status.class(),
+                shape(*status),
+                status.word(),
                 escaped(text)
             )
         })
         .collect();
     let html = format!(
         "<div class=\"first\">\n<div class=\"verdict\">\n\
-         <p class=\"light {class}\">{shape}<strong>{word}</strong></p>\n\
+         <p class=\"status {class}\">{shape}<strong>{word}</strong></p>\n\
          <p class=\"sentence\">{sentence}</p>\n\
-         <ul class=\"reasons\">\n{reasons}</ul>\n{tiles}</div>\n{scene}</div>\n",
-        class = judgement.light.class(),
-        shape = shape(judgement.light),
-        word = judgement.light.word(),
+         <ul class=\"checks\">\n{checks}</ul>\n{tiles}</div>\n{scene}</div>\n",
+        class = judgement.status.class(),
+        shape = shape(judgement.status),
+        word = judgement.status.word(),
         sentence = escaped(run.text("/verdict")),
         tiles = tiles(run),
         scene = scene(run),
@@ -39,15 +39,15 @@ pub(crate) fn section(run: &RunResult) -> Section {
 }
 
 /// A picture beside the word: a tick in a circle, a sign with an exclamation mark, a cross in an octagon.
-fn shape(light: Light) -> &'static str {
-    match light {
-        Light::Green => {
+fn shape(status: Status) -> &'static str {
+    match status {
+        Status::Green => {
             "<svg viewBox=\"0 0 24 24\" aria-hidden=\"true\"><circle cx=\"12\" cy=\"12\" r=\"11\"/><path d=\"M6.5 12.5l3.8 3.8 7.2-8\"/></svg>"
         }
-        Light::Amber => {
+        Status::Amber => {
             "<svg viewBox=\"0 0 24 24\" aria-hidden=\"true\"><path class=\"body\" d=\"M12 1.5L23.5 22H.5z\"/><path d=\"M12 8.5v6.5M12 18.2v.6\"/></svg>"
         }
-        Light::Red => {
+        Status::Red => {
             "<svg viewBox=\"0 0 24 24\" aria-hidden=\"true\"><path class=\"body\" d=\"M7.4 1h9.2L23 7.4v9.2L16.6 23H7.4L1 16.6V7.4z\"/><path d=\"M8 8l8 8M16 8l-8 8\"/></svg>"
         }
     }
@@ -79,7 +79,7 @@ fn tiles(run: &RunResult) -> String {
         },
         &escaped(match run.text("/held_out/metric") {
             "" => "residual where it was not fitted",
-            figure => figure,
+            metric => metric,
         }),
     );
     out += &tile(

@@ -1,7 +1,7 @@
 //! Each free parameter: nominal, calibrated, change, sigma, significance.
 
 use crate::RunResult;
-use crate::figures::{Digits, Numbers, number};
+use crate::charts::{Digits, Numbers, number};
 use crate::html::{bar, escaped, table};
 use crate::page::Section;
 use serde_json::Value;
@@ -14,7 +14,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
     let row = |(at, parameter): (usize, &Value)| {
         let unit = parameter["unit"].as_str().unwrap_or_default();
         let decimals = decimals(parameter);
-        let figure =
+        let metric =
             |field: &str| numbers.show(&format!("/calibration/parameters/{at}/{field}"), Digits::Decimals(decimals));
         let change = match (parameter["nominal"].as_f64(), parameter["calibrated"].as_f64()) {
             (Some(nominal), Some(calibrated)) => format!("{:+.decimals$}", calibrated - nominal),
@@ -40,8 +40,8 @@ pub(crate) fn section(run: &RunResult) -> Section {
         };
         vec![
             escaped(parameter["name"].as_str().unwrap_or_default()),
-            figure("nominal"),
-            figure("calibrated"),
+            metric("nominal"),
+            metric("calibrated"),
             change,
             sigma,
             escaped(if unit.is_empty() { "1" } else { unit }),

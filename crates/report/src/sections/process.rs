@@ -1,7 +1,7 @@
 //! What went on: the filters, the solver, time and memory, warnings.
 
 use crate::RunResult;
-use crate::figures::{Digits, Numbers};
+use crate::charts::{Digits, Numbers};
 use crate::html::{bar, escaped, table};
 use crate::page::Section;
 use serde_json::Value;
@@ -53,7 +53,7 @@ fn filters(run: &RunResult) -> String {
         ("observations of tracks", "/counts/observations"),
         ("positions refined to a fraction of a pixel", "/tracks/refined"),
         ("positions rejected by the refinement", "/tracks/rejected"),
-        ("links that contradicted a track", "/tracks/links/contradicting"),
+        ("links that contradicted a track", "/tracks/links/conflicts"),
     ] {
         if run.number(pointer).is_some() {
             rows.push(vec![name.to_owned(), numbers.show(pointer, Digits::Whole), String::new()]);
@@ -63,11 +63,11 @@ fn filters(run: &RunResult) -> String {
         "<h3>Filters</h3>\n{}",
         table("numbers bars", "What each step left, summed over all pairs", &["Step", "Left", "Share"], &rows)
     );
-    if run.number("/camera_fixed/dropped_keypoints").is_some_and(|dropped| dropped > 0.0) {
+    if run.number("/ego_mask/dropped_keypoints").is_some_and(|dropped| dropped > 0.0) {
         html += &format!(
             "<p>{} keypoints on what moves with the camera were left out ({}&nbsp;of the image, as a share of 1).</p>\n",
-            numbers.show("/camera_fixed/dropped_keypoints", Digits::Whole),
-            numbers.show("/camera_fixed/masked_share", Digits::Decimals(2)),
+            numbers.show("/ego_mask/dropped_keypoints", Digits::Whole),
+            numbers.show("/ego_mask/masked_fraction", Digits::Decimals(2)),
         );
     }
     html
@@ -87,7 +87,7 @@ fn solver(run: &RunResult) -> String {
         ),
         ("Cost at the end, by the last", "/calibration/termination/final_cost", Digits::Significant(4), ""),
         ("Noise of pixels, times their own sigmas", "/calibration/pixel_sigma", Digits::Significant(3), ""),
-        ("Noise of a depth, sigma / depth\u{b2}", "/calibration/depth_sigma_per_m", Digits::Significant(3), "1/m"),
+        ("Noise of a depth, sigma / depth\u{b2}", "/calibration/depth_sigma_per_m2", Digits::Significant(3), "1/m"),
         ("Noise of the joints, sigma", "/calibration/joint_deviation_sigma_deg", Digits::Significant(3), "deg"),
         ("Share of correspondences that do not fit", "/calibration/outlier_fraction", Digits::Significant(3), ""),
     ];
@@ -110,12 +110,12 @@ fn stages(run: &RunResult) -> String {
         .iter()
         .enumerate()
         .map(|(at, stage)| {
-            let figure = |field: &str, digits| numbers.show(&format!("/stages/{at}/{field}"), digits);
+            let metric = |field: &str, digits| numbers.show(&format!("/stages/{at}/{field}"), digits);
             vec![
                 escaped(stage["stage"].as_str().unwrap_or_default()),
-                figure("steps", Digits::Whole),
-                figure("wall_s", Digits::Decimals(2)),
-                figure("cpu_s", Digits::Decimals(2)),
+                metric("steps", Digits::Whole),
+                metric("wall_s", Digits::Decimals(2)),
+                metric("cpu_s", Digits::Decimals(2)),
                 bar(stage["wall_s"].as_f64().unwrap_or_default() / longest, "neutral"),
             ]
         })

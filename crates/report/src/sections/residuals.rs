@@ -1,14 +1,14 @@
 //! Residuals before and after: how large, in which postures, where in the image, at which joint angles.
 
 use crate::RunResult;
-use crate::figures::{CALIBRATED, Chart, Digits, NOMINAL, Numbers};
+use crate::charts::{CALIBRATED, Chart, Digits, NOMINAL, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::{Value, json};
 use skclam::report_data::{Histogram, ImageCell, ReportData, ResidualKind};
 
 pub(crate) fn section(run: &RunResult) -> Section {
-    let mut html = figures(run);
+    let mut html = metrics(run);
     let mut charts = Vec::new();
     match &run.data {
         None => html += super::NO_DATA,
@@ -21,7 +21,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
                 html.push_str(&chart.html());
                 charts.push(chart);
             };
-            // Results of programs that did not yet sum up sights have none without matches.
+            // Results of programs that did not yet sum up observations have none without matches.
             if data.residuals.postures.iter().any(|posture| posture.ends > 0) {
                 add(histogram(&data.residuals.histogram, data.residuals.distances), &mut html);
                 add(by_posture(data), &mut html);
@@ -42,7 +42,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
     Section { id: "residuals", title: "Residuals", html, charts }
 }
 
-fn figures(run: &RunResult) -> String {
+fn metrics(run: &RunResult) -> String {
     let numbers = Numbers::of(run);
     let mut rows = Vec::new();
     let mut row = |name: &str, unit: &str, before: &str, after: &str| {
@@ -150,8 +150,8 @@ fn histogram(histogram: &Histogram, kind: ResidualKind) -> Chart {
         let (mut x, mut y) = (Vec::new(), Vec::new());
         for (edges, &count) in histogram.edges_px.windows(2).zip(counts).take(last + 1).skip(first) {
             x.extend_from_slice(edges);
-            let share = 100.0 * count as f64 / total;
-            y.extend([share, share]);
+            let fraction = 100.0 * count as f64 / total;
+            y.extend([fraction, fraction]);
         }
         json!({
             "type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "fill": "tozeroy",
@@ -211,7 +211,7 @@ fn by_posture(data: &ReportData) -> Chart {
         id: "by-posture",
         caption: format!(
             "By posture: median distance to {} in its image, with the line up to the 90th percentile. One posture far above the \
-             others hints at wrong joint values or a bumped camera.",
+             others hints at wrong joint values or a displaced camera.",
             aim(data.residuals.distances)
         ),
         description: "Median residual of every posture, nominal and calibrated".to_owned(),
@@ -257,7 +257,7 @@ fn arrows(
         angles.push(round(dx.atan2(-dy).to_degrees()));
         told.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
     }
-    let factor = crate::figures::number(scale, Digits::Significant(1));
+    let factor = crate::charts::number(scale, Digits::Significant(1));
     Chart {
         id,
         caption: format!(
@@ -268,7 +268,7 @@ fn arrows(
                 ResidualKind::Reprojection => "where a point should appear",
                 ResidualKind::Epipolar => "its epipolar line",
             },
-            crate::figures::number(longest, Digits::Significant(2))
+            crate::charts::number(longest, Digits::Significant(2))
         ),
         description: format!("Arrows of the median residual over the image, {name}"),
         data: json!([

@@ -1,7 +1,7 @@
 //! How sure the parameters are together, and what follows for the position over the workspace.
 
 use crate::RunResult;
-use crate::figures::{Chart, Digits, Numbers, number, width_for};
+use crate::charts::{Chart, Digits, Numbers, number, width_for};
 use crate::html::{escaped, table};
 use crate::page::Section;
 use serde_json::json;
@@ -16,7 +16,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
     let mut html = String::new();
     let mut charts = Vec::new();
     html += "<h3>Expected position error over the workspace</h3>\n";
-    html += &pose_figures(run);
+    html += &pose_metrics(run);
     if let Some(chart) = run.data.as_ref().and_then(|data| workspace(&data.pose_sigmas)) {
         html += &chart.html();
         charts.push(chart);
@@ -40,8 +40,8 @@ pub(crate) fn section(run: &RunResult) -> Section {
     Section { id: "uncertainty", title: "Uncertainty", html, charts }
 }
 
-/// The figures of the summary: flange and camera, at the recorded postures and over the workspace.
-fn pose_figures(run: &RunResult) -> String {
+/// The metrics of the summary: flange and camera, at the recorded postures and over the workspace.
+fn pose_metrics(run: &RunResult) -> String {
     let numbers = Numbers::of(run);
     let mut rows = Vec::new();
     for (of, poses) in [("your postures", "recorded_poses"), ("the workspace", "workspace_poses")] {
@@ -53,18 +53,18 @@ fn pose_figures(run: &RunResult) -> String {
         ] {
             let pointer = |statistic: &str| format!("/{poses}/{field}/{statistic}");
             if run.number(&pointer("mean")).is_some() {
-                let figure = |statistic: &str| numbers.show(&pointer(statistic), Digits::Significant(2));
-                rows.push(vec![format!("{name}, {of}"), figure("mean"), figure("sd"), figure("max"), unit.to_owned()]);
+                let metric = |statistic: &str| numbers.show(&pointer(statistic), Digits::Significant(2));
+                rows.push(vec![format!("{name}, {of}"), metric("mean"), metric("sd"), metric("max"), unit.to_owned()]);
             }
         }
         let change = |statistic: &str| format!("/{poses}/camera_change_mm/{statistic}");
         if run.number(&change("mean")).is_some() {
-            let figure = |statistic: &str| numbers.show(&change(statistic), Digits::Significant(3));
+            let metric = |statistic: &str| numbers.show(&change(statistic), Digits::Significant(3));
             rows.push(vec![
                 format!("Correction of the camera, {of}"),
-                figure("mean"),
-                figure("sd"),
-                figure("max"),
+                metric("mean"),
+                metric("sd"),
+                metric("max"),
                 "mm".to_owned(),
             ]);
         }
@@ -113,7 +113,7 @@ fn workspace(poses: &[PoseSigma]) -> Option<Chart> {
     Some(Chart {
         id: "workspace",
         caption: "Expected position error of the camera (one sigma, mm): dots are postures spread over the joints' limits, squares are those of the recording. \
-                  Light places were seen too little; record postures there if the arm works there."
+                  Status places were seen too little; record postures there if the arm works there."
             .to_owned(),
         description: format!("Expected position error at {} postures, at most {} mm", known.len(), number(greatest, Digits::Significant(2))),
         data: json!([

@@ -11,7 +11,7 @@ use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, Seria
 use std::path::Path;
 
 /// The smallest length above 0 that is believed, millimetres.
-const LEAST_MM: f64 = 1e-6;
+const MIN_MM: f64 = 1e-6;
 /// The largest length that is believed, millimetres: a kilometre.
 const MAX_MM: f64 = 1e6;
 /// The largest angle that is believed, degrees.
@@ -77,10 +77,10 @@ impl Reader<'_> {
 
     /// A length above 0 that is still one when the file is written again: what is below a nanometre is a slip of units.
     fn positive_mm(&self, key: &str, value: f64) -> Result<f64, RigFileError> {
-        if value.is_finite() && value >= LEAST_MM {
+        if value.is_finite() && value >= MIN_MM {
             Ok(value)
         } else {
-            Err(self.value(key, format!("{value} given; a number above 0 is needed, in mm at least {LEAST_MM}")))
+            Err(self.value(key, format!("{value} given; a number above 0 is needed, in mm at least {MIN_MM}")))
         }
     }
 

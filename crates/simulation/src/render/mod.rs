@@ -30,7 +30,7 @@ pub struct Renderer {
 }
 
 /// Larger images are refused: their buffers would not fit a common machine.
-const MOST_PIXELS: u64 = 1 << 27;
+const MAX_PIXELS: u64 = 1 << 27;
 
 impl Renderer {
     /// Prepares a camera. Errors: no pixels, too many, focal lengths that are not positive and finite, or a
@@ -38,7 +38,7 @@ impl Renderer {
     pub fn new(camera: &PinholeCamera, antialiasing: Antialiasing) -> Result<Self, SimulationError> {
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let finite = camera.intrinsics().iter().all(|value| value.is_finite());
-        if pixels == 0 || pixels > MOST_PIXELS || !finite || camera.fx <= 0.0 || camera.fy <= 0.0 {
+        if pixels == 0 || pixels > MAX_PIXELS || !finite || camera.fx <= 0.0 || camera.fy <= 0.0 {
             return Err(SimulationError::Camera {
                 width: camera.width,
                 height: camera.height,
@@ -210,12 +210,12 @@ mod tests {
                 let inverse = pose.inverse();
                 for side in 0..4 {
                     let (from, to) = (corners()[side], corners()[(side + 1) % 4]);
-                    let project = |share: f64| camera.project(&(inverse * (from + (to - from) * share))).unwrap();
+                    let project = |fraction: f64| camera.project(&(inverse * (from + (to - from) * fraction))).unwrap();
                     // Mean signed distance of the rendered edge to the true one over the middle of the side.
                     let (mut sum, mut count) = (0.0, 0);
                     for step in 0..200 {
-                        let share = 0.15 + 0.7 * f64::from(step) / 199.0;
-                        let (at, next) = (project(share), project(share + 1e-4));
+                        let fraction = 0.15 + 0.7 * f64::from(step) / 199.0;
+                        let (at, next) = (project(fraction), project(fraction + 1e-4));
                         let along = next - at;
                         let horizontal_scan = along.y.abs() > along.x.abs();
                         let slope = if horizontal_scan { along.x / along.y } else { along.y / along.x };

@@ -183,8 +183,8 @@ fn bounds(corners: &[Point3; 3], camera: &PinholeCamera) -> Option<[f32; 4]> {
             extend(a);
         }
         if (a.z >= NEAR_M) != (b.z >= NEAR_M) {
-            let share = (NEAR_M - a.z) / (b.z - a.z);
-            let mut crossing = a + (b - a) * share;
+            let fraction = (NEAR_M - a.z) / (b.z - a.z);
+            let mut crossing = a + (b - a) * fraction;
             crossing.z = NEAR_M;
             extend(&crossing);
         }

@@ -1,11 +1,11 @@
-//! Things made of sheets: cuboids, cylinders, panels, each sheet with a coat, then painted and lit all at once.
+//! Things made of sheets: cuboids, cylinders, panels, each sheet with a material, then painted and lit all at once.
 
-use super::coat::Coat;
 use super::light::{fill_covered, light_at};
+use super::material::Material;
 use super::model::{Face, Model};
 use super::raycast::RayCaster;
 use crate::Texture;
-use crate::dice::Dice;
+use crate::scene_rng::SceneRng;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use skclam_geometry::{Isometry3, Point3};
@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// A sheet of texture: where it lies, how large it is and what is on it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sheet {
-    pub coat: Coat,
+    pub material: Material,
     pub size_m: (f64, f64),
     pub texel_m: f64,
     shape: Shape,
@@ -46,20 +46,20 @@ impl Sheet {
 
 /// Which faces of a cuboid are drawn, and with what.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct CuboidCoats {
-    pub top: Option<Coat>,
-    pub bottom: Option<Coat>,
-    pub sides: [Option<Coat>; 4],
+pub(crate) struct CuboidMaterials {
+    pub top: Option<Material>,
+    pub bottom: Option<Material>,
+    pub sides: [Option<Material>; 4],
 }
 
-impl CuboidCoats {
+impl CuboidMaterials {
     /// All sides and the top alike, nothing below.
-    pub fn standing(coat: Coat) -> Self {
-        CuboidCoats { top: Some(coat), bottom: None, sides: [Some(coat); 4] }
+    pub fn standing(material: Material) -> Self {
+        CuboidMaterials { top: Some(material), bottom: None, sides: [Some(material); 4] }
     }
 
-    pub fn all(coat: Coat) -> Self {
-        CuboidCoats { top: Some(coat), bottom: Some(coat), sides: [Some(coat); 4] }
+    pub fn all(material: Material) -> Self {
+        CuboidMaterials { top: Some(material), bottom: Some(material), sides: [Some(material); 4] }
     }
 }
 
@@ -111,19 +111,26 @@ impl Builder {
     }
 
     /// A flat sheet: `right` and `down` as seen from outside, metres.
-    pub fn sheet(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, coat: Coat) {
+    pub fn sheet(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, material: Material) {
         let corners = [corner, corner + down, corner + down + right, corner + right];
-        self.flat(corner, right, down, coat, &corners);
+        self.flat(corner, right, down, material, &corners);
     }
 
-    fn flat(&mut self, corner: Point3, right: Vector3<f64>, down: Vector3<f64>, coat: Coat, polygon: &[Point3]) {
+    fn flat(
+        &mut self,
+        corner: Point3,
+        right: Vector3<f64>,
+        down: Vector3<f64>,
+        material: Material,
+        polygon: &[Point3],
+    ) {
         let size_m = (right.norm(), down.norm());
         let (across, along) = (right / size_m.0, down / size_m.1);
         let normal = along.cross(&across);
         let texel_m = self.texel_for(&[corner, corner + right, corner + down], Some(normal));
         let (right, down) = (across, along);
         let texture = self.sheets.len() as u32;
-        self.sheets.push(Sheet { coat, size_m, texel_m, shape: Shape::Flat { corner, right, down, normal } });
+        self.sheets.push(Sheet { material, size_m, texel_m, shape: Shape::Flat { corner, right, down, normal } });
         // Axes are directions for now; they are scaled to texels when the sheet is painted.
         let face = Face {
             origin: corner,
@@ -138,7 +145,7 @@ impl Builder {
     }
 
     /// A cuboid whose frame has its origin in the middle of the bottom, z up; `size`: x, y, z.
-    pub fn cuboid(&mut self, frame: &Isometry3, size: [f64; 3], coats: &CuboidCoats) {
+    pub fn cuboid(&mut self, frame: &Isometry3, size: [f64; 3], materials: &CuboidMaterials) {
         let [x, y, z] = size;
         let point = |px: f64, py: f64, pz: f64| frame * Point3::new(px * x / 2.0, py * y / 2.0, pz * z);
         let direction = |dx: f64, dy: f64, dz: f64| frame * Vector3::new(dx * x, dy * y, dz * z);
@@ -149,21 +156,21 @@ impl Builder {
             (point(-1.0, 1.0, 1.0), direction(0.0, -1.0, 0.0)),
             (point(-1.0, -1.0, 1.0), direction(1.0, 0.0, 0.0)),
         ];
-        for ((corner, right), coat) in sides.into_iter().zip(coats.sides) {
-            if let Some(coat) = coat {
-                self.sheet(corner, right, down, coat);
+        for ((corner, right), material) in sides.into_iter().zip(materials.sides) {
+            if let Some(material) = material {
+                self.sheet(corner, right, down, material);
             }
         }
-        if let Some(coat) = coats.top {
-            self.sheet(point(-1.0, 1.0, 1.0), direction(1.0, 0.0, 0.0), direction(0.0, -1.0, 0.0), coat);
+        if let Some(material) = materials.top {
+            self.sheet(point(-1.0, 1.0, 1.0), direction(1.0, 0.0, 0.0), direction(0.0, -1.0, 0.0), material);
         }
-        if let Some(coat) = coats.bottom {
-            self.sheet(point(-1.0, -1.0, 0.0), direction(1.0, 0.0, 0.0), direction(0.0, 1.0, 0.0), coat);
+        if let Some(material) = materials.bottom {
+            self.sheet(point(-1.0, -1.0, 0.0), direction(1.0, 0.0, 0.0), direction(0.0, 1.0, 0.0), material);
         }
     }
 
-    /// A cylinder from `bottom` to `top` with flat facets, and discs at its ends where they have a coat.
-    pub fn cylinder(&mut self, bottom: Point3, top: Point3, radius: f64, side: Coat, caps: [Option<Coat>; 2]) {
+    /// A cylinder from `bottom` to `top` with flat facets, and discs at its ends where they have a material.
+    pub fn cylinder(&mut self, bottom: Point3, top: Point3, radius: f64, side: Material, caps: [Option<Material>; 2]) {
         let height = (top - bottom).norm();
         let axis = (top - bottom) / height;
         let helper = if axis.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
@@ -177,7 +184,7 @@ impl Builder {
         let texture = self.sheets.len() as u32;
         let texel_m = self.texel_for(&[bottom, top, bottom], None);
         let size_m = (facet_width * facets as f64, height);
-        self.sheets.push(Sheet { coat: side, size_m, texel_m, shape: Shape::Tube { top, axis, across, radius } });
+        self.sheets.push(Sheet { material: side, size_m, texel_m, shape: Shape::Tube { top, axis, across, radius } });
         for facet in 0..facets {
             let corners = [rim(top, facet), rim(bottom, facet), rim(bottom, facet + 1), rim(top, facet + 1)];
             let right = (corners[3] - corners[0]) / facet_width;
@@ -192,15 +199,15 @@ impl Builder {
             };
             self.model.add_polygon(face, &corners);
         }
-        for (end, sign, coat) in [(bottom, -1.0, caps[0]), (top, 1.0, caps[1])] {
-            let Some(coat) = coat else { continue };
+        for (end, sign, material) in [(bottom, -1.0, caps[0]), (top, 1.0, caps[1])] {
+            let Some(material) = material else { continue };
             let normal = axis * sign;
             let right = across;
             // down x right = normal, as for every flat sheet.
             let down = right.cross(&normal);
             let polygon: Vec<Point3> =
                 (0..facets).map(|facet| if sign > 0.0 { rim(end, facet) } else { rim(end, facets - facet) }).collect();
-            self.flat(end - (right + down) * radius, right * (2.0 * radius), down * (2.0 * radius), coat, &polygon);
+            self.flat(end - (right + down) * radius, right * (2.0 * radius), down * (2.0 * radius), material, &polygon);
         }
     }
 
@@ -212,9 +219,9 @@ impl Builder {
             .par_iter()
             .enumerate()
             .map(|(index, sheet)| {
-                let mut dice = Dice::new(seed, stream + index as u64);
+                let mut rng = SceneRng::new(seed, stream + index as u64);
                 let size_m = (sheet.size_m.0 as f32, sheet.size_m.1 as f32);
-                let mut canvas = sheet.coat.paint(size_m, sheet.texel_m as f32, &mut dice);
+                let mut canvas = sheet.material.paint(size_m, sheet.texel_m as f32, &mut rng);
                 if let Some(caster) = &caster {
                     let cells = |length: f64| ((length / LIGHT_CELL_M).ceil() as usize).clamp(2, 64);
                     let (columns, rows) = (cells(sheet.size_m.0), cells(sheet.size_m.1));

@@ -16,12 +16,12 @@ pub(crate) struct Canvas {
 }
 
 /// A texture may not have more texels along one side; coarser texels are taken instead.
-const MOST_TEXELS: f32 = 8192.0;
+const MAX_TEXELS: f32 = 8192.0;
 
 impl Canvas {
     /// A sheet of `size_m` with texels of about `texel_m`.
     pub fn new(size_m: (f32, f32), texel_m: f32) -> Self {
-        let texel_m = texel_m.max(size_m.0 / MOST_TEXELS).max(size_m.1 / MOST_TEXELS);
+        let texel_m = texel_m.max(size_m.0 / MAX_TEXELS).max(size_m.1 / MAX_TEXELS);
         let count = |length: f32| ((length / texel_m).ceil() as usize).max(2);
         let (width, height) = (count(size_m.0), count(size_m.1));
         Canvas { width, height, texel_m, texels: vec![[0; 4]; width * height] }

@@ -3,22 +3,22 @@
 mod builder;
 mod canvas;
 mod cell;
-mod coat;
 mod lattice;
 mod light;
+mod material;
 mod model;
 mod print;
 mod raycast;
 mod texture;
-mod wear;
+mod weathering;
 
 pub use model::{Face, Model, Triangle};
 pub use raycast::{Hit, RayCaster};
 pub use texture::Texture;
 
-pub(crate) use builder::{Builder, CuboidCoats, TexelRule};
-pub(crate) use coat::Coat;
+pub(crate) use builder::{Builder, CuboidMaterials, TexelRule};
 pub(crate) use light::light_on_moving;
+pub(crate) use material::Material;
 pub(crate) use texture::Footprint;
 
 use crate::SimulationError;
@@ -70,7 +70,7 @@ impl Scene {
         cell::furnish(&mut builder, options.seed);
         let (model, sheets) = builder.finish(options.seed, 1000, true);
         let caster = RayCaster::new(&model);
-        let plain_texture = sheets.iter().map(|sheet| sheet.coat.is_plain()).collect();
+        let plain_texture = sheets.iter().map(|sheet| sheet.material.is_plain()).collect();
         Ok(Scene { model, caster, plain_texture })
     }
 

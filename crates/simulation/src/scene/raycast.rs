@@ -184,25 +184,25 @@ fn build(nodes: &mut Vec<Node>, triangles: &mut [Prepared], first: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dice::Dice;
     use crate::scene::model::Triangle;
+    use crate::scene_rng::SceneRng;
 
     #[test]
     fn the_tree_agrees_with_trying_every_triangle() {
-        let mut dice = Dice::new(11, 0);
+        let mut rng = SceneRng::new(11, 0);
         let mut model = Model::default();
         for index in 0..300u32 {
-            let centre = Vector3::from_fn(|_, _| dice.range(-1.0, 1.0));
+            let centre = Vector3::from_fn(|_, _| rng.range(-1.0, 1.0));
             for _ in 0..3 {
-                model.vertices.push((centre + Vector3::from_fn(|_, _| dice.range(-0.2, 0.2))).into());
+                model.vertices.push((centre + Vector3::from_fn(|_, _| rng.range(-0.2, 0.2))).into());
             }
             model.triangles.push(Triangle { vertices: [3 * index, 3 * index + 1, 3 * index + 2], face: index });
         }
         let caster = RayCaster::new(&model);
         let mut met = 0;
         for _ in 0..500 {
-            let origin = Point3::from(Vector3::from_fn(|_, _| dice.range(-1.5, 1.5)));
-            let direction = Vector3::from_fn(|_, _| dice.normal());
+            let origin = Point3::from(Vector3::from_fn(|_, _| rng.range(-1.5, 1.5)));
+            let direction = Vector3::from_fn(|_, _| rng.normal());
             let slow = caster
                 .triangles
                 .iter()

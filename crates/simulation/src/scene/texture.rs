@@ -29,7 +29,7 @@ pub(crate) struct Footprint {
 }
 
 /// More probes than this only matter on surfaces seen almost edge on.
-const MOST_PROBES: f32 = 12.0;
+const MAX_PROBES: f32 = 12.0;
 
 impl Texture {
     /// Builds the mip levels. `texels` is row-major with at least one texel; the fourth value is unused.
@@ -66,7 +66,7 @@ impl Texture {
         // The narrow side of the parallelogram is its area over its long side, not the other edge.
         let area = (by_x.0 * by_y.1 - by_x.1 * by_y.0).abs();
         let minor = (area / major.max(1e-6)).max(1e-6);
-        let count = (major / minor.max(1.0) + 0.85).clamp(1.0, MOST_PROBES) as u32;
+        let count = (major / minor.max(1.0) + 0.85).clamp(1.0, MAX_PROBES) as u32;
         let probes = count as f32;
         let width = minor.max(major / probes);
         let level = if width <= 1.0 { 0.0 } else { width.log2().min((self.levels.len() - 1) as f32) };

@@ -380,7 +380,7 @@ mod tests {
     #[test]
     fn gears_and_bending_are_compensated_too() {
         let (nominal, calibrated, _) = arms("hp3j", 0.0);
-        let one = JointCorrection { gear_sin: 2e-3, gear_cos: -1e-3, compliance: 3e-3 };
+        let one = JointCorrection { transmission_sin: 2e-3, transmission_cos: -1e-3, compliance: 3e-3 };
         let joint_corrections = JointCorrections { joints: vec![one; 6], time_offset_s: 0.0 };
         let truth = TrueArm { chain: &calibrated, joint_corrections: &joint_corrections };
         let options = CompensationOptions::default();

@@ -117,10 +117,9 @@ mod tests {
     use super::*;
 
     fn jpeg() -> Vec<u8> {
-        let picture =
-            image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (x * y) as u8, (y * 5) as u8]));
+        let image = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (x * y) as u8, (y * 5) as u8]));
         let mut bytes = io::Cursor::new(Vec::new());
-        picture.write_to(&mut bytes, image::ImageFormat::Jpeg).unwrap();
+        image.write_to(&mut bytes, image::ImageFormat::Jpeg).unwrap();
         bytes.into_inner()
     }
 

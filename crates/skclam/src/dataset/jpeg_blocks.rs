@@ -111,9 +111,9 @@ impl Walk {
     fn scan(&self, segment: &[u8], data: &[u8]) -> Option<Result<usize, Missing>> {
         let parts = segment.get(1..1 + 2 * usize::from(*segment.first()?))?;
         let of_most = |of: fn(&Component) -> usize| self.components.iter().map(of).max();
-        let (most_h, most_v) = (of_most(|part| part.horizontal)?, of_most(|part| part.vertical)?);
+        let (max_h, max_v) = (of_most(|part| part.horizontal)?, of_most(|part| part.vertical)?);
         let mut blocks = Vec::new();
-        let mut units = self.size[0].div_ceil(8 * most_h) * self.size[1].div_ceil(8 * most_v);
+        let mut units = self.size[0].div_ceil(8 * max_h) * self.size[1].div_ceil(8 * max_v);
         for part in parts.chunks_exact(2) {
             let component = self.components.iter().find(|component| component.id == part[0])?;
             let codes = (
@@ -124,8 +124,7 @@ impl Walk {
             if parts.len() == 2 {
                 // Alone in its scan, a component has no blocks beyond its own edges.
                 let side = |size: usize, own: usize, most: usize| (size * own).div_ceil(most).div_ceil(8);
-                units =
-                    side(self.size[0], component.horizontal, most_h) * side(self.size[1], component.vertical, most_v);
+                units = side(self.size[0], component.horizontal, max_h) * side(self.size[1], component.vertical, max_v);
                 count = 1;
             }
             blocks.extend(std::iter::repeat_n(codes, count));
@@ -252,14 +251,14 @@ mod tests {
     use image::codecs::jpeg::JpegEncoder;
 
     fn jpeg(gray: bool) -> Vec<u8> {
-        let picture = image::RgbImage::from_fn(83, 61, |x, y| {
+        let image = image::RgbImage::from_fn(83, 61, |x, y| {
             image::Rgb([(x * 7 + y * y) as u8, (x * y) as u8, (x * x + 5 * y) as u8])
         });
         let mut bytes = Vec::new();
         let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 85);
         match gray {
-            true => encoder.encode_image(&image::DynamicImage::ImageRgb8(picture).into_luma8()),
-            false => encoder.encode_image(&picture),
+            true => encoder.encode_image(&image::DynamicImage::ImageRgb8(image).into_luma8()),
+            false => encoder.encode_image(&image),
         }
         .unwrap();
         bytes

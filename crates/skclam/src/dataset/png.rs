@@ -43,9 +43,9 @@ mod tests {
     use super::*;
 
     fn png() -> Vec<u8> {
-        let picture = image::GrayImage::from_fn(31, 17, |x, y| image::Luma([(x * y) as u8]));
+        let image = image::GrayImage::from_fn(31, 17, |x, y| image::Luma([(x * y) as u8]));
         let mut bytes = std::io::Cursor::new(Vec::new());
-        picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
         bytes.into_inner()
     }
 

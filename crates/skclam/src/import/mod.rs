@@ -168,10 +168,10 @@ fn enough(plan: &PosturePlan, images: usize, track: &JointTrack, options: &Impor
     let reason = match plan.selection {
         Selection::Still | Selection::Automatic => format!(
             "the arm stood still {} times ({} of {images} images fall into these times): slower than {} rad/s for {} s, {} s after it had stopped; for a recording in motion use --moving",
-            plan.stands,
+            plan.intervals,
             images - plan.moving,
             selection.max_joint_speed,
-            selection.min_stand_s,
+            selection.min_stationary_s,
             selection.settle_s
         ),
         _ => format!(

@@ -1,4 +1,4 @@
-//! How well the arm can be calibrated with these postures: sights that the nominal rig predicts, and the covariance that they would give.
+//! How well the arm can be calibrated with these postures: observations that the nominal rig predicts, and the covariance that they would give.
 //!
 //! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should be matched with it,
 //! as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are not predicted but found, and heard as a run
@@ -27,8 +27,8 @@ use super::JointCoverage;
 pub struct ExpectedSigmaOptions {
     /// Points of the grid on each image, columns and rows.
     pub grid: [u32; 2],
-    /// Images that show a point, at most: the one of the grid and some of its partners in turn.
-    pub sights_per_point: usize,
+    /// Images that show a point, at most: the one of the grid and some of its neighbors in turn.
+    pub observations_per_point: usize,
     /// Noise, priors and what is free.
     pub expectation: ExpectationOptions,
     /// A revolute joint that turned by less is named where a parameter stays unknown, degrees.
@@ -38,11 +38,11 @@ pub struct ExpectedSigmaOptions {
 }
 
 impl Default for ExpectedSigmaOptions {
-    /// As many sights an image as the pipeline finds in a textured cell.
+    /// As many observations an image as the pipeline finds in a textured cell.
     fn default() -> Self {
         ExpectedSigmaOptions {
             grid: [28, 18],
-            sights_per_point: 3,
+            observations_per_point: 3,
             expectation: ExpectationOptions::default(),
             ample_joint_range_deg: 45.0,
             ample_joint_range_mm: 150.0,
@@ -55,14 +55,14 @@ impl Default for ExpectedSigmaOptions {
 pub struct ExpectedSigmas {
     /// Points that were followed.
     pub points: usize,
-    /// Sights of them.
-    pub sights: usize,
+    /// Observations of them.
+    pub observations: usize,
     /// Corners of the rig's board in all images.
     pub corners: usize,
     /// Sigma of a pixel coordinate that was assumed, px.
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2` that was assumed, 1/m; `null` without depth.
-    pub depth_sigma_per_m: Option<f64>,
+    pub depth_sigma_per_m2: Option<f64>,
     /// Each free parameter.
     pub parameters: Vec<ExpectedParameter>,
     /// Number of free parameters.
@@ -109,7 +109,7 @@ pub struct JointToMove {
     pub parameters: Vec<String>,
 }
 
-/// What is kept of an image to predict sights.
+/// What is kept of an image to predict observations.
 pub(super) struct Predicted {
     base_from_color: Isometry3,
     points_in_color: Vec<Point3>,
@@ -174,7 +174,7 @@ impl Predicted {
 }
 
 /// What the images are expected to show.
-pub(super) struct Sights<'a> {
+pub(super) struct Observations<'a> {
     /// One a posture.
     pub views: &'a [Predicted],
     /// Which of them should show the same.
@@ -186,20 +186,20 @@ pub(super) struct Sights<'a> {
 /// What a calibration of this data set should reach, by its nominal rig.
 pub(super) fn expected_sigmas(
     dataset: &Dataset,
-    seen: Sights<'_>,
+    seen: Observations<'_>,
     joints: &[JointCoverage],
     pairing: &PairingOptions,
     options: &ExpectedSigmaOptions,
 ) -> Result<ExpectedSigmas, CalibrationError> {
     let rig = &dataset.rig;
     let postures = dataset.records.iter().map(|record| record.posture.clone()).collect();
-    let Sights { views, pairs, mut boards } = seen;
+    let Observations { views, pairs, mut boards } = seen;
     let has_depth = views.iter().any(|view| view.surface.is_some());
     let mut tracks = Vec::new();
     if board_alone(BoardUse::Auto, boards.len(), dataset.len(), has_depth) {
         boards.iter_mut().for_each(|board| board.sigma_px = 1.0);
     } else {
-        tracks = predicted_tracks(views, pairs, &rig.color, pairing, options.sights_per_point);
+        tracks = predicted_tracks(views, pairs, &rig.color, pairing, options.observations_per_point);
     }
     let corners = boards.iter().map(|board| board.corners.len()).sum();
     let data = Correspondences { postures, tracks, boards, ..Default::default() };
@@ -209,16 +209,16 @@ pub(super) fn expected_sigmas(
     };
     Ok(ExpectedSigmas {
         points: data.tracks.len(),
-        sights: data.observation_count(),
+        observations: data.observation_count(),
         corners,
         pixel_sigma: options.expectation.pixel_sigma,
-        depth_sigma_per_m: has_depth.then_some(options.expectation.depth_sigma_per_m),
+        depth_sigma_per_m2: has_depth.then_some(options.expectation.depth_sigma_per_m2),
         parameters: expected.parameters.iter().map(ExpectedParameter::of).collect(),
         free: expected.parameters.len(),
         rank: expected.identifiability.rank,
         told: told_combinations(rig, &expected),
         condition_number: Some(expected.identifiability.condition_number).filter(|number| number.is_finite()),
-        not_identifiable: expected.identifiability.unseen.iter().map(|unseen| unseen.reason.clone()).collect(),
+        not_identifiable: expected.identifiability.unobservable.iter().map(|unseen| unseen.reason.clone()).collect(),
         camera_sigma_mm: over(&|pose| 1e3 * position_sigma_m(&pose.camera)),
         camera_sigma_deg: over(&|pose| orientation_sigma_rad(&pose.camera).to_degrees()),
         joints_to_move: joints_to_move(rig, &expected, joints, options),
@@ -241,23 +241,23 @@ fn told_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
     left.iter().filter(|&&variance| variance < TOLD).count().min(expected.identifiability.rank)
 }
 
-/// Each image's points and where its partners show them.
+/// Each image's points and where its neighbors show them.
 fn predicted_tracks(
     views: &[Predicted],
     pairs: &[ImagePair],
     camera: &PinholeCamera,
     pairing: &PairingOptions,
-    sights_per_point: usize,
+    observations_per_point: usize,
 ) -> Vec<Track> {
-    let mut partners: Vec<Vec<usize>> = vec![vec![]; views.len()];
+    let mut neighbors: Vec<Vec<usize>> = vec![vec![]; views.len()];
     for pair in pairs {
-        partners[pair.a].push(pair.b);
-        partners[pair.b].push(pair.a);
+        neighbors[pair.a].push(pair.b);
+        neighbors[pair.b].push(pair.a);
     }
     let of_view = |a: usize| -> Vec<Track> {
         let from = &views[a];
         let depth_of = |posture: usize, point: &Point3| views[posture].surface.as_ref().map(|_| point.z);
-        let sight = |posture: usize, pixel: Pixel, point: &Point3| TrackObservation {
+        let observation = |posture: usize, pixel: Pixel, point: &Point3| TrackObservation {
             posture,
             pixel,
             covariance: isotropic_covariance(1.0),
@@ -265,19 +265,19 @@ fn predicted_tracks(
             depth_slope: [0.0; 2],
         };
         let others: Vec<(usize, Isometry3)> =
-            partners[a].iter().map(|&b| (b, views[b].base_from_color.inverse() * from.base_from_color)).collect();
+            neighbors[a].iter().map(|&b| (b, views[b].base_from_color.inverse() * from.base_from_color)).collect();
         let follow = |(number, point): (usize, &Point3)| {
             let own = camera.project(point).filter(|pixel| camera.contains(pixel))?;
-            let mut observations = vec![sight(a, own, point)];
+            let mut observations = vec![observation(a, own, point)];
             for step in 0..others.len() {
-                if observations.len() >= sights_per_point {
+                if observations.len() >= observations_per_point {
                     break;
                 }
-                // In turn, so that no partner is preferred.
+                // In turn, so that no neighbor is preferred.
                 let (b, b_from_a) = &others[(number + step) % others.len()];
                 let Some((pixel, in_b)) = shown_to(point, b_from_a, camera, pairing) else { continue };
                 if !views[*b].surface.as_ref().is_some_and(|surface| surface.hides(camera, &pixel, in_b.z)) {
-                    observations.push(sight(*b, pixel, &in_b));
+                    observations.push(observation(*b, pixel, &in_b));
                 }
             }
             (observations.len() > 1).then_some(Track { observations })
@@ -306,7 +306,7 @@ fn joints_to_move(
     joints: &[JointCoverage],
     options: &ExpectedSigmaOptions,
 ) -> Vec<JointToMove> {
-    let share = |joint: &JointCoverage| {
+    let fraction = |joint: &JointCoverage| {
         let ample = if joint.unit == "deg" { options.ample_joint_range_deg } else { options.ample_joint_range_mm };
         (joint.max - joint.min) / ample
     };
@@ -316,8 +316,8 @@ fn joints_to_move(
         // Half of what the maker's tolerance says already is no calibration.
         let known = estimate.sigma.is_some_and(|sigma| sigma < 0.5 * default_sigma(rig, estimate.parameter));
         let beside = id.joint.saturating_sub(1)..(id.joint + 2).min(joints.len());
-        let least = beside.min_by(|&a, &b| share(&joints[a]).total_cmp(&share(&joints[b])).then(a.cmp(&b)));
-        if let Some(joint) = least.filter(|&joint| !known && share(&joints[joint]) < 1.0) {
+        let least = beside.min_by(|&a, &b| fraction(&joints[a]).total_cmp(&fraction(&joints[b])).then(a.cmp(&b)));
+        if let Some(joint) = least.filter(|&joint| !known && fraction(&joints[joint]) < 1.0) {
             blamed[joint].push(estimate.parameter.to_string());
         }
     }

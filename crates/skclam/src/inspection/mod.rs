@@ -39,7 +39,7 @@ pub struct InspectionOptions {
     /// A share of black or of white pixels beyond this is badly exposed.
     pub max_clipped: f64,
     /// A depth image with a smaller share of measured pixels is a poor one.
-    pub min_depth_share: f64,
+    pub min_depth_fraction: f64,
     /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt, metres.
     pub plausible_depth_m: [f64; 2],
     /// Detector of the rig's board.
@@ -57,7 +57,7 @@ impl Default for InspectionOptions {
             min_joint_range_mm: 50.0,
             min_relative_sharpness: 0.4,
             max_clipped: 0.25,
-            min_depth_share: 0.3,
+            min_depth_fraction: 0.3,
             plausible_depth_m: [0.1, 10.0],
             board: BoardOptions::default(),
             expected: ExpectedSigmaOptions::default(),
@@ -94,7 +94,7 @@ pub struct ImageJudgement {
     /// Grey values.
     pub exposure: Exposure,
     /// Share of measured depth pixels.
-    pub depth_share: Option<f64>,
+    pub depth_fraction: Option<f64>,
     /// Median depth, metres.
     pub median_depth_m: Option<f64>,
 }
@@ -158,10 +158,10 @@ pub fn inspect(
         .collect::<Result<_, InspectionError>>()?;
     let mut images = Vec::with_capacity(looked.len());
     let (mut views, mut predicted) = (Vec::with_capacity(looked.len()), Vec::with_capacity(looked.len()));
-    for (image, view, sights) in looked {
+    for (image, view, observations) in looked {
         images.push(image);
         views.push(view);
-        predicted.push(sights);
+        predicted.push(observations);
     }
     let pairs = choose_pairs(&views, &dataset.rig.color, &options.pairing);
     let groups = groups(dataset.len(), &pairs, options.pairing.min_overlap);
@@ -172,7 +172,7 @@ pub fn inspect(
         error => InspectionError::Board(Box::new(error)),
     })?;
     let (boards, board) = boards.map_or((vec![], None), |(boards, summary)| (boards, Some(summary)));
-    let seen = expected::Sights { views: &predicted, pairs: &pairs, boards };
+    let seen = expected::Observations { views: &predicted, pairs: &pairs, boards };
     let expected = expected_sigmas(dataset, seen, &joints, &options.pairing, &options.expected);
     let (expected, impossible) = match expected {
         Ok(expected) => (Some(expected), None),
@@ -193,14 +193,15 @@ fn look(
     let record = &dataset.records[position];
     let gray = dataset.gray(position)?;
     let base_from_color = dataset.rig.base_from_color(&record.posture)?;
-    let (mut depth_share, mut median_depth_m) = (None, None);
+    let (mut depth_fraction, mut median_depth_m) = (None, None);
     let depth = dataset.depth(position)?;
     let assumed_depth_m = options.pairing.assumed_depth_m;
-    let sights = Predicted::new(base_from_color, depth.as_ref(), &dataset.rig, &options.expected, assumed_depth_m);
+    let observations =
+        Predicted::new(base_from_color, depth.as_ref(), &dataset.rig, &options.expected, assumed_depth_m);
     let view = match (depth, &dataset.rig.depth) {
         (Some(depth), Some(camera)) => {
             let mut measured: Vec<f32> = depth.as_slice().iter().copied().filter(|&z| z > 0.0).collect();
-            depth_share = Some(measured.len() as f64 / depth.as_slice().len().max(1) as f64);
+            depth_fraction = Some(measured.len() as f64 / depth.as_slice().len().max(1) as f64);
             let middle = measured.len() / 2;
             if !measured.is_empty() {
                 median_depth_m = Some(f64::from(*measured.select_nth_unstable_by(middle, f32::total_cmp).1));
@@ -214,10 +215,10 @@ fn look(
         color: record.color.display().to_string(),
         sharpness: sharpness(&gray),
         exposure: exposure(&gray),
-        depth_share,
+        depth_fraction,
         median_depth_m,
     };
-    Ok((judgement, view, sights))
+    Ok((judgement, view, observations))
 }
 
 fn coverage(dataset: &Dataset) -> Vec<JointCoverage> {

@@ -75,7 +75,7 @@ pub(super) fn warnings(dataset: &Dataset, inspection: &Inspection, options: &Ins
         image.exposure.sd < 10.0
     });
     list("depth images that are mostly holes", "stay within the camera's range, off glass and mirrors", &|image| {
-        image.depth_share.is_some_and(|share| share < options.min_depth_share)
+        image.depth_fraction.is_some_and(|fraction| fraction < options.min_depth_fraction)
     });
     warnings.extend(doubtful_unit(dataset, inspection, options));
     if let (Some(board), Some(of_rig)) = (&inspection.board, &dataset.rig.board) {
@@ -91,10 +91,10 @@ pub(super) fn warnings(dataset: &Dataset, inspection: &Inspection, options: &Ins
             inspection.groups.len()
         ));
     }
-    let partners = 2.0 * inspection.pairs.len() as f64 / count.max(1) as f64;
-    if partners < 3.0 {
+    let neighbors = 2.0 * inspection.pairs.len() as f64 / count.max(1) as f64;
+    if neighbors < 3.0 {
         warnings.push(format!(
-            "each posture shares its view with {partners:.1} others in the mean; 4 or more make errors visible"
+            "each posture shares its view with {neighbors:.1} others in the mean; 4 or more make errors visible"
         ));
     }
     warnings

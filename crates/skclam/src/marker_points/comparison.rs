@@ -3,7 +3,7 @@
 
 use super::solve::{Observation, State};
 use super::{ClusteredBy, Fitted, GroupErrors, MarkerPoint, MarkerPoints, PointsComparison, RobustFit, rms, robust};
-use crate::pipeline::VerdictGrade;
+use crate::pipeline::Status;
 use std::collections::HashMap;
 
 /// Standard errors by which a rig has to differ.
@@ -99,11 +99,11 @@ pub(super) fn compare(nominal: &Fitted, tested: &Fitted, used: &[usize], cluster
 }
 
 /// Better or worse by more than two standard errors, or not distinguishable.
-fn status(improvement_mm: f64, standard_error_mm: Option<f64>) -> VerdictGrade {
+fn status(improvement_mm: f64, standard_error_mm: Option<f64>) -> Status {
     match standard_error_mm.map(|error| STANDARD_ERRORS * error) {
-        Some(margin) if improvement_mm > margin => VerdictGrade::Good,
-        Some(margin) if improvement_mm < -margin => VerdictGrade::Bad,
-        _ => VerdictGrade::Caution,
+        Some(margin) if improvement_mm > margin => Status::Good,
+        Some(margin) if improvement_mm < -margin => Status::Bad,
+        _ => Status::Caution,
     }
 }
 
@@ -146,12 +146,12 @@ mod tests {
     #[test]
     fn the_status_follows_two_standard_errors() {
         for (improvement_mm, standard_error_mm, expected) in [
-            (0.3, Some(0.1), VerdictGrade::Good),
-            (0.19, Some(0.1), VerdictGrade::Caution),
-            (0.0, Some(0.0), VerdictGrade::Caution),
-            (-0.19, Some(0.1), VerdictGrade::Caution),
-            (-0.21, Some(0.1), VerdictGrade::Bad),
-            (5.0, None, VerdictGrade::Caution),
+            (0.3, Some(0.1), Status::Good),
+            (0.19, Some(0.1), Status::Caution),
+            (0.0, Some(0.0), Status::Caution),
+            (-0.19, Some(0.1), Status::Caution),
+            (-0.21, Some(0.1), Status::Bad),
+            (5.0, None, Status::Caution),
         ] {
             assert_eq!(status(improvement_mm, standard_error_mm), expected, "{improvement_mm} {standard_error_mm:?}");
         }

@@ -15,7 +15,7 @@ mod table;
 mod tests;
 
 use crate::dataset::DatasetError;
-use crate::pipeline::VerdictGrade;
+use crate::pipeline::Status;
 use nalgebra::{DMatrix, Vector3};
 use robust::RobustFit;
 use serde::{Deserialize, Serialize};
@@ -207,7 +207,7 @@ pub struct PointsComparison {
     /// Its standard error by the jackknife over clusters, millimetres; `null` with fewer than three clusters.
     pub standard_error_mm: Option<f64>,
     /// Good: better by more than two standard errors. Bad: worse by as many. Caution: not distinguishable.
-    pub status: VerdictGrade,
+    pub status: Status,
 }
 
 /// Judges `tested`, and beside it `nominal`, by measured points.

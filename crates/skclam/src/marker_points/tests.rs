@@ -248,16 +248,16 @@ fn the_true_rig_is_good_a_worse_one_bad_and_the_same_not_distinguishable() {
     let status =
         |tested: &Rig, nominal: &Rig| validate_points(&points, tested, Some(nominal)).unwrap().comparison.unwrap();
     let good = status(&truth, &off);
-    assert_eq!(good.status, VerdictGrade::Good, "{good:?}");
+    assert_eq!(good.status, Status::Good, "{good:?}");
     let bad = status(&off, &truth);
-    assert_eq!((bad.status, bad.improvement_mm), (VerdictGrade::Bad, -good.improvement_mm));
+    assert_eq!((bad.status, bad.improvement_mm), (Status::Bad, -good.improvement_mm));
     let same = status(&off, &off);
-    assert_eq!((same.status, same.improvement_mm), (VerdictGrade::Caution, 0.0));
+    assert_eq!((same.status, same.improvement_mm), (Status::Caution, 0.0));
     // One arm position is one cluster: however many its points, there is no standard error.
     let mut one = points.clone();
     one.points.iter_mut().for_each(|point| point.group = Some("all".into()));
     let alone = validate_points(&one, &truth, Some(&off)).unwrap().comparison.unwrap();
-    assert_eq!((alone.status, alone.standard_error_mm), (VerdictGrade::Caution, None));
+    assert_eq!((alone.status, alone.standard_error_mm), (Status::Caution, None));
 }
 
 /// Over many draws of two rigs that are equally wrong, few are told apart: the standard error is no smaller than the
@@ -272,7 +272,7 @@ fn equally_wrong_rigs_are_seldom_told_apart() {
         let nudge = |rig: &Rig, random: &mut ChaCha8Rng| wrong(rig, 2e-5, random);
         let (a, b) = (nudge(&truth, &mut random), nudge(&truth, &mut random));
         let comparison = validate_points(&points, &a, Some(&b)).unwrap().comparison.unwrap();
-        apart += usize::from(comparison.status != VerdictGrade::Caution);
+        apart += usize::from(comparison.status != Status::Caution);
     }
     assert!(apart <= 10, "{apart} of 40");
 }
@@ -319,7 +319,7 @@ fn a_real_arm_by_its_nominal_parameters() {
     let found = validate_points(&points, &rig, Some(&rig)).unwrap();
     println!("nominal rig: {:.4} mm RMS, sigma {:.4} mm", found.tested.rms_mm, found.tested.sigma_mm);
     assert_eq!((found.points, found.clusters, found.tested.groups.len()), (120, 6, 6));
-    assert_eq!(found.comparison.unwrap().status, VerdictGrade::Caution);
+    assert_eq!(found.comparison.unwrap().status, Status::Caution);
     assert!(found.outliers.is_empty());
     // Least squares leaves 0.729 mm; no other frame and offset leave less.
     assert!((found.tested.rms_mm - 0.729).abs() < 0.001, "{}", found.tested.rms_mm);

@@ -5,7 +5,7 @@ use crate::dataset::Dataset;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{DepthImage, Isometry3};
-use skclam_mapping::{GapOptions, View, surface_gaps};
+use skclam_mapping::{DepthConsistencyOptions, View, depth_consistency};
 use skclam_rig::Rig;
 
 /// Distances between the surfaces of overlapping depth images.
@@ -58,7 +58,7 @@ pub fn surface_agreement<const N: usize>(
     let depths: Vec<Option<DepthImage>> =
         chosen.par_iter().map(|&index| dataset.depth(index)).collect::<Result<_, _>>()?;
     let depth_mask = dataset.depth_mask()?;
-    let mut options = GapOptions::default();
+    let mut options = DepthConsistencyOptions::default();
     let pixels = f64::from(depth_camera.camera.width) * f64::from(depth_camera.camera.height) * chosen.len() as f64;
     let taken = pixels / (options.stride * options.stride) as f64;
     options.sample_every = (taken / SAMPLES as f64).sqrt().ceil().max(1.0) as usize;
@@ -81,7 +81,7 @@ pub fn surface_agreement<const N: usize>(
                 })
             })
             .collect();
-        let gaps = surface_gaps(&views, &options)?;
+        let gaps = depth_consistency(&views, &options)?;
         if let (Some(median_m), Some(p90_m)) = (gaps.median_m, gaps.p90_m) {
             answer.surfaces =
                 Some(SurfaceAgreement { pairs: gaps.pairs.len(), median_mm: median_m * 1e3, p90_mm: p90_m * 1e3 });

@@ -4,8 +4,7 @@
 //! its value and twice the gain of the logarithm of the likelihood, by which causes are ranked.
 
 use super::{
-    Config, DepthShift, Evidence, GrossFinding, ImageFeatures, RunError, VerdictGrade, find_depth_shift,
-    find_gross_cause,
+    Config, DepthShift, Evidence, GrossFinding, ImageFeatures, RunError, Status, find_depth_shift, find_gross_cause,
 };
 use crate::dataset::Dataset;
 use crate::progress::Progress;
@@ -88,7 +87,7 @@ pub enum Cause {
     /// Depth readings scatter more than those of any such camera.
     DepthNoise {
         /// `s` of `sigma = s z^2`, 1/m.
-        sigma_per_m: f64,
+        depth_sigma_per_m2: f64,
         /// What is expected at most.
         tolerance_per_m: f64,
     },
@@ -127,12 +126,12 @@ const DOUBTED_SIGMAS: f64 = 2.0;
 
 impl Cause {
     /// What it calls for by itself.
-    pub fn grade(&self) -> VerdictGrade {
+    pub fn status(&self) -> Status {
         match self {
             // An arm or a mount that was far off is what a calibration is for.
-            Cause::Beyond { what: Instrument::Arm | Instrument::Mount, .. } => VerdictGrade::Good,
-            Cause::Gross { .. } | Cause::DepthShift { .. } => VerdictGrade::Bad,
-            _ => VerdictGrade::Caution,
+            Cause::Beyond { what: Instrument::Arm | Instrument::Mount, .. } => Status::Good,
+            Cause::Gross { .. } | Cause::DepthShift { .. } => Status::Bad,
+            _ => Status::Caution,
         }
     }
 
@@ -174,7 +173,7 @@ pub fn causes(
         let shift = find_depth_shift(dataset, calibration, &data.tracks)?;
         found.extend(shift.map(|shift| Cause::DepthShift { shift }));
     }
-    found.sort_by(|a, b| b.grade().cmp(&a.grade()).then(b.rank().total_cmp(&a.rank())));
+    found.sort_by(|a, b| b.status().cmp(&a.status()).then(b.rank().total_cmp(&a.rank())));
     Ok(found)
 }
 
@@ -183,8 +182,10 @@ fn estimated_causes(dataset: &Dataset, calibration: &Calibration) -> Vec<Cause> 
     found.extend(ruler(calibration));
     let index = |position: usize| dataset.records.get(position).map(|record| record.posture.index);
     found.extend(calibration.error_patterns.iter().map(|pattern| of_pattern(pattern, &index)));
-    if let Some(sigma_per_m) = calibration.noise.depth_per_m.filter(|sigma| *sigma > DEPTH_TOLERANCE_PER_M) {
-        found.push(Cause::DepthNoise { sigma_per_m, tolerance_per_m: DEPTH_TOLERANCE_PER_M });
+    if let Some(depth_sigma_per_m2) =
+        calibration.noise.depth_sigma_per_m2.filter(|sigma| *sigma > DEPTH_TOLERANCE_PER_M)
+    {
+        found.push(Cause::DepthNoise { depth_sigma_per_m2, tolerance_per_m: DEPTH_TOLERANCE_PER_M });
     }
     found.extend(few_postures(dataset, calibration));
     let sigma_deg = calibration.noise.posture_angular.unwrap_or(0.0).to_degrees();
@@ -207,9 +208,10 @@ fn instrument(parameter: Parameter) -> Instrument {
         Parameter::BoardScale => Instrument::BoardSquares,
         Parameter::Mount(_) => Instrument::Mount,
         Parameter::TimeOffset => Instrument::Clock,
-        Parameter::Chain(_) | Parameter::GearSin(_) | Parameter::GearCos(_) | Parameter::Compliance(_) => {
-            Instrument::Arm
-        }
+        Parameter::Chain(_)
+        | Parameter::TransmissionSin(_)
+        | Parameter::TransmissionCos(_)
+        | Parameter::Compliance(_) => Instrument::Arm,
     }
 }
 

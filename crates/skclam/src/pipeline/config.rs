@@ -49,16 +49,16 @@ pub struct Config {
     /// How candidates are searched.
     pub search: Search,
     /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts. `None`: no gate.
-    pub gate_deg: Option<f64>,
-    /// The filters of section 3.2; the gate's pixels follow from `gate_deg`.
+    pub epipolar_gate_deg: Option<f64>,
+    /// The filters of section 3.2; the gate's pixels follow from `epipolar_gate_deg`.
     pub filter: FilterOptions,
     /// Looks for what moves with the camera (gripper, cable) and leaves it out; `None`: not.
     pub mask: Option<MaskOptions>,
     /// Joins matches to tracks over many images; `None`: pairs alone.
     pub tracks: Option<TrackOptions>,
-    /// Sightings that the estimator takes at about most, from tracks evenly over the recording; `None`: all.
-    pub max_sightings: Option<usize>,
-    /// Aligns the patches of a track's sightings to a few hundredths of a pixel; `None`: positions as detected.
+    /// Observations that the estimator takes at about most, from tracks evenly over the recording; `None`: all.
+    pub max_observations: Option<usize>,
+    /// Aligns the patches of a track's observations to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,
     /// Detector of the rig's board.
     pub board: BoardOptions,
@@ -88,11 +88,11 @@ impl Default for Config {
             akaze: AkazeOptions::default(),
             pairing: PairingOptions::default(),
             search: Search::Guided,
-            gate_deg: Some(7.3),
+            epipolar_gate_deg: Some(7.3),
             filter: FilterOptions::default(),
             mask: Some(MaskOptions::default()),
             tracks: Some(TrackOptions::default()),
-            max_sightings: Some(90_000),
+            max_observations: Some(90_000),
             refine: Some(RefineOptions::default()),
             board: BoardOptions::default(),
             board_use: BoardUse::default(),
@@ -151,7 +151,7 @@ impl Config {
 
     /// The filters with the gate in pixels, Eq. (6): `d_th = theta_th / theta_h * q_h`, and with this run's seed.
     pub fn filter(&self, camera: &PinholeCamera) -> FilterOptions {
-        let gate_px = self.gate_deg.map(|angle| angle.to_radians() / camera.hfov() * f64::from(camera.width));
+        let gate_px = self.epipolar_gate_deg.map(|angle| angle.to_radians() / camera.hfov() * f64::from(camera.width));
         let ransac = self.filter.ransac.clone().map(|ransac| RansacOptions { seed: self.seed, ..ransac });
         FilterOptions { gate_px, ransac, ..self.filter.clone() }
     }

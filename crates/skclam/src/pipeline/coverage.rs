@@ -16,9 +16,9 @@ pub struct MapCoverage {
     /// Radius of the ball that the flange stays in, around the first joint, metres; `null` without an arm or with sliding joints.
     pub reach_m: Option<f64>,
     /// Share of that ball that was seen to be free or occupied. Walls and the table cut off a part that nobody can see.
-    pub observed_share_of_reach: Option<f64>,
+    pub observed_fraction_of_reach: Option<f64>,
     /// Share of the free space's border that no surface closes: holes, and the ends of the views. `null` without free space.
-    pub open_boundary_share: Option<f64>,
+    pub open_boundary_fraction: Option<f64>,
     /// The same in square metres.
     pub open_boundary_m2: f64,
     /// Share of the depth images' pixels that have no value.
@@ -28,7 +28,7 @@ pub struct MapCoverage {
 /// Edge of a cell, metres: what an arm's links do not pass through unseen.
 const CELL_M: f64 = 0.05;
 /// Depth images that are looked at at the most, evenly over the recording.
-const MOST_IMAGES: usize = 120;
+const MAX_IMAGES: usize = 120;
 /// Images that are decoded side by side.
 const DECODED_TOGETHER: usize = 8;
 
@@ -44,7 +44,7 @@ pub fn map_coverage(
     let (color_mask, depth_mask) = (dataset.color_mask()?, dataset.depth_mask()?);
     let mut grid =
         OccupancyGrid::new(OccupancyOptions { filter, resolution_m: CELL_M, ..OccupancyOptions::default() })?;
-    let chosen: Vec<usize> = (0..dataset.len()).step_by(dataset.len().div_ceil(MOST_IMAGES).max(1)).collect();
+    let chosen: Vec<usize> = (0..dataset.len()).step_by(dataset.len().div_ceil(MAX_IMAGES).max(1)).collect();
     let (mut pixels, mut holes) = (0usize, 0usize);
     for chunk in chosen.chunks(DECODED_TOGETHER) {
         let depths = chunk.par_iter().map(|&index| dataset.depth(index)).collect::<Result<Vec<_>, _>>()?;
@@ -67,12 +67,12 @@ pub fn map_coverage(
         return Ok(None);
     }
     let ball = rig.robot.as_ref().and_then(reach);
-    let observed = ball.map(|(centre, radius_m)| grid.observed_share_of_ball(centre, radius_m)).transpose()?;
+    let observed = ball.map(|(centre, radius_m)| grid.observed_fraction_of_ball(centre, radius_m)).transpose()?;
     let boundary = grid.free_boundary();
     Ok(Some(MapCoverage {
         reach_m: ball.map(|(_, radius_m)| radius_m),
-        observed_share_of_reach: observed,
-        open_boundary_share: boundary.open_share(),
+        observed_fraction_of_reach: observed,
+        open_boundary_fraction: boundary.open_fraction(),
         open_boundary_m2: boundary.open_m2,
         depth_without_value: holes as f64 / pixels as f64,
     }))

@@ -130,11 +130,11 @@ pub fn hold_out(
 pub(super) fn thinned(data: &Correspondences, max_observations: Option<usize>) -> Correspondences {
     let mut thin = data.clone();
     let Some(limit) = max_observations else { return thin };
-    let keep = |share: f64| {
+    let keep = |fraction: f64| {
         let mut at = 0.0f64;
         move || {
             let before = at.floor();
-            at += share;
+            at += fraction;
             at.floor() > before
         }
     };
@@ -157,7 +157,7 @@ mod tests {
     use skclam_geometry::Pixel;
 
     #[test]
-    fn thinning_keeps_whole_tracks_and_the_share_of_the_matches() {
+    fn thinning_keeps_whole_tracks_and_the_fraction_of_the_matches() {
         let observation = |posture| TrackObservation {
             posture,
             pixel: Pixel::origin(),

@@ -1,7 +1,7 @@
 //! The checks of a run, each with what it calls for; the status is the worst of them.
 
 use super::sentences::check_text;
-use super::{Cause, Evidence, VerdictCase, VerdictGrade};
+use super::{Cause, Evidence, Status, VerdictCase};
 use crate::summary::Summary;
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{StopReason, Warning};
@@ -76,18 +76,18 @@ pub enum Check {
 
 /// A check, what it calls for, and its words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Reason {
+pub struct CheckResult {
     /// What it calls for.
-    pub grade: VerdictGrade,
+    pub status: Status,
     /// What was seen.
     pub check: Check,
     /// The same in words.
     pub text: String,
 }
 
-impl From<Check> for Reason {
+impl From<Check> for CheckResult {
     fn from(check: Check) -> Self {
-        Reason { grade: check.grade(), text: check_text(&check), check }
+        CheckResult { status: check.status(), text: check_text(&check), check }
     }
 }
 
@@ -102,29 +102,29 @@ const MUCH_WIDER: f64 = 2.0;
 
 impl Check {
     /// What it calls for.
-    pub fn grade(&self) -> VerdictGrade {
+    pub fn status(&self) -> Status {
         match self {
-            Check::Verdict { case } => case.grade(),
-            Check::Cause { cause } => cause.grade(),
-            Check::HeldOutBetter { .. } => VerdictGrade::Good,
+            Check::Verdict { case } => case.status(),
+            Check::Cause { cause } => cause.status(),
+            Check::HeldOutBetter { .. } => Status::Good,
             Check::DepthConsistency { nominal_mm, calibrated_mm } => {
-                if *calibrated_mm > nominal_mm * WORSE_CONSISTENCY { VerdictGrade::Caution } else { VerdictGrade::Good }
+                if *calibrated_mm > nominal_mm * WORSE_CONSISTENCY { Status::Caution } else { Status::Good }
             }
             // It was dealt with: the sigmas are as wide as the data show.
-            Check::SigmaWidened { .. } => VerdictGrade::Good,
+            Check::SigmaWidened { .. } => Status::Good,
             Check::Systematic { .. }
             | Check::Outliers { .. }
             | Check::NotConverged
             | Check::NotIdentifiable { .. }
             | Check::FlangePosesOnly
             | Check::OutlierPostures { .. }
-            | Check::UnobservedPostures { .. } => VerdictGrade::Caution,
+            | Check::UnobservedPostures { .. } => Status::Caution,
         }
     }
 }
 
 /// The checks of a run, worst first. `warnings`: of its calibration.
-pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warnings: &[Warning]) -> Vec<Reason> {
+pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warnings: &[Warning]) -> Vec<CheckResult> {
     let mut checks = vec![Check::Verdict { case: case.clone() }];
     let in_case = match case {
         VerdictCase::Unexplained { cause, .. } => cause.as_ref(),
@@ -140,10 +140,10 @@ pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warning
         checks.push(Check::DepthConsistency { nominal_mm, calibrated_mm });
     }
     checks.extend(estimate(summary, warnings));
-    let mut reasons: Vec<Reason> = checks.into_iter().map(Reason::from).collect();
+    let mut checks: Vec<CheckResult> = checks.into_iter().map(CheckResult::from).collect();
     // Stable: among equals, the order in which they were looked at.
-    reasons.sort_by_key(|reason| std::cmp::Reverse(reason.grade));
-    reasons
+    checks.sort_by_key(|check| std::cmp::Reverse(check.status));
+    checks
 }
 
 fn held_out(evidence: &Evidence, summary: &Summary) -> Vec<Check> {
@@ -202,8 +202,8 @@ fn estimate(summary: &Summary, warnings: &[Warning]) -> Vec<Check> {
 }
 
 /// The worst of the checks.
-pub fn worst(reasons: &[Reason]) -> VerdictGrade {
-    reasons.iter().map(|reason| reason.grade).max().unwrap_or(VerdictGrade::Caution)
+pub fn worst(checks: &[CheckResult]) -> Status {
+    checks.iter().map(|check| check.status).max().unwrap_or(Status::Caution)
 }
 
 #[cfg(test)]
@@ -212,14 +212,14 @@ mod tests {
 
     #[test]
     fn the_worst_check_decides_and_grades_are_ordered() {
-        use VerdictGrade::{Bad, Caution, Good};
+        use Status::{Bad, Caution, Good};
         assert!(Good < Caution && Caution < Bad);
         let better = Check::HeldOutBetter { nominal_px: 2.0, calibrated_px: 1.0 };
         let worse = Check::DepthConsistency { nominal_mm: 1.0, calibrated_mm: 2.0 };
         let same = Check::DepthConsistency { nominal_mm: 1.0, calibrated_mm: 1.04 };
-        assert_eq!([&better, &worse, &same].map(Check::grade), [Good, Caution, Good]);
-        let reasons: Vec<Reason> = vec![better.into(), worse.into(), same.into()];
-        assert_eq!(worst(&reasons), Caution);
+        assert_eq!([&better, &worse, &same].map(Check::status), [Good, Caution, Good]);
+        let checks: Vec<CheckResult> = vec![better.into(), worse.into(), same.into()];
+        assert_eq!(worst(&checks), Caution);
         assert_eq!(worst(&[]), Caution, "nothing was looked at");
     }
 }

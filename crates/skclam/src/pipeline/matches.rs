@@ -88,8 +88,8 @@ fn described(image: &ImageFeatures) -> DescribedPoints<'_> {
 /// The nominal F of Eq. (3); zero where the cameras stand at one place, as then there is no epipolar geometry.
 fn predicted_fundamental(camera: &PinholeCamera, a_from_b: &Isometry3) -> nalgebra::Matrix3<f64> {
     /// A tenth of a millimetre: below it the direction of the baseline is rounding and noise.
-    const LEAST_BASELINE_M: f64 = 1e-4;
-    if a_from_b.translation.vector.norm() < LEAST_BASELINE_M {
+    const MIN_BASELINE_M: f64 = 1e-4;
+    if a_from_b.translation.vector.norm() < MIN_BASELINE_M {
         return nalgebra::Matrix3::zeros();
     }
     FundamentalMatrix::from_pose(camera, camera, a_from_b).0

@@ -32,7 +32,7 @@ const PAIRS: usize = 3000;
 /// No camera is mounted farther from a flange.
 const FARTHEST_M: f64 = 1.0;
 /// A pair with fewer verified matches may be an accident.
-const LEAST_MATCHES: usize = 20;
+const MIN_MATCHES: usize = 20;
 
 /// Finds `flange_from_color` with the arm as it is nominally; the data set's own mount is only compared with.
 pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<FoundMount, RunError> {
@@ -45,7 +45,7 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
     // No gate: it would be one about the wrong lines. RANSAC alone tells which pairs see the same.
     let free = Config {
         search: Search::Exhaustive,
-        gate_deg: None,
+        epipolar_gate_deg: None,
         filter: FilterOptions {
             best: None,
             ransac: Some(config.filter.ransac.clone().unwrap_or_default()),
@@ -60,7 +60,7 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
     };
     let pairs: Vec<PairMatches> = matched
         .iter()
-        .filter(|matched| matched.matches.len() >= LEAST_MATCHES)
+        .filter(|matched| matched.matches.len() >= MIN_MATCHES)
         .map(|matched| {
             let (a, b) = (matched.pair.a, matched.pair.b);
             let matches = matched.matches.iter().map(|m| PairMatch {

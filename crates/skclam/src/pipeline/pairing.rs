@@ -21,7 +21,7 @@ pub struct PairingOptions {
     /// Neighbours or overlap.
     pub pairing: Pairing,
     /// Partners of one posture at the most.
-    pub partners: usize,
+    pub max_neighbors: usize,
     /// Least predicted overlap: the part of an image that the other shows too.
     pub min_overlap: f64,
     /// Largest angle between the viewing directions of what both see, degrees: descriptors do not stand more.
@@ -34,7 +34,7 @@ impl Default for PairingOptions {
     fn default() -> Self {
         PairingOptions {
             pairing: Pairing::Overlap,
-            partners: 8,
+            max_neighbors: 8,
             min_overlap: 0.25,
             max_view_angle_deg: 50.0,
             assumed_depth_m: [0.25, 2.5],
@@ -93,8 +93,8 @@ pub(crate) fn assumed_points(
             let (column, row) = (cell % columns, cell / columns);
             let x = (f64::from(column) + 0.5) / f64::from(columns) * f64::from(camera.width);
             let y = (f64::from(row) + 0.5) / f64::from(rows) * f64::from(camera.height);
-            let share = f64::from((column * 3 + row * 2) % DEPTHS) / f64::from(DEPTHS - 1);
-            Point3::from(camera.unproject(&Pixel::new(x, y)) * (near_m * (far_m / near_m).powf(share)))
+            let fraction = f64::from((column * 3 + row * 2) % DEPTHS) / f64::from(DEPTHS - 1);
+            Point3::from(camera.unproject(&Pixel::new(x, y)) * (near_m * (far_m / near_m).powf(fraction)))
         })
         .collect()
 }
@@ -122,10 +122,10 @@ pub fn choose_pairs(views: &[PredictedView], camera: &PinholeCamera, options: &P
             let row = |a: usize| (0..views.len()).map(|b| if a == b { 0.0 } else { mutual(a, b) }).collect();
             let shared: Vec<Vec<f64>> = (0..views.len()).into_par_iter().map(row).collect();
             for (a, row) in shared.iter().enumerate() {
-                let mut partners: Vec<usize> =
+                let mut neighbors: Vec<usize> =
                     (0..views.len()).filter(|&b| b != a && row[b] >= options.min_overlap).collect();
-                partners.sort_by(|&x, &y| row[y].total_cmp(&row[x]).then(x.cmp(&y)));
-                chosen.extend(partners.into_iter().take(options.partners).map(|b| (a.min(b), a.max(b))));
+                neighbors.sort_by(|&x, &y| row[y].total_cmp(&row[x]).then(x.cmp(&y)));
+                chosen.extend(neighbors.into_iter().take(options.max_neighbors).map(|b| (a.min(b), a.max(b))));
             }
             // The order of a recording is knowledge too: what follows was seldom taken far away.
             chosen.extend((1..views.len()).map(|b| (b - 1, b)).filter(|&(a, b)| shared[a][b] > 0.0));
@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn neighbours_overlap_and_opposite_views_do_not() {
         let (views, camera) = ring(36);
-        let options = PairingOptions { partners: 4, ..Default::default() };
+        let options = PairingOptions { max_neighbors: 4, ..Default::default() };
         let pairs = choose_pairs(&views, &camera, &options);
         assert!(pairs.iter().any(|pair| (pair.a, pair.b) == (0, 1)));
         assert!(pairs.iter().any(|pair| (pair.a, pair.b) == (0, 35)), "the ring closes");

@@ -18,7 +18,7 @@ const LINEAR_SIGMA: f64 = 0.02;
 /// Spread of slants, `g / w`: a surface at 45 degrees has 1.
 const SLANT_SIGMA: f64 = 0.7;
 /// Rays that meet at less than this angle tell no depth, rad.
-const LEAST_PARALLAX: f64 = 0.02;
+const MIN_PARALLAX: f64 = 0.02;
 
 /// Predicts from the nominal poses, the camera, and depths where they were measured.
 #[derive(Debug)]
@@ -70,7 +70,7 @@ impl TwoViews<'_> {
         let (across, lever) = (along.cross(&toward), t.cross(&toward));
         let parallax = across.norm() / (along.norm() * toward.norm());
         let inverse_depth = -across.norm_squared() / across.dot(&lever);
-        (parallax > LEAST_PARALLAX && inverse_depth.is_finite() && inverse_depth > 0.0).then_some(inverse_depth)
+        (parallax > MIN_PARALLAX && inverse_depth.is_finite() && inverse_depth > 0.0).then_some(inverse_depth)
     }
 
     /// Where B shows what A shows at an offset from the point, on a plane.

@@ -22,7 +22,7 @@ const MIN_READINGS: f64 = 0.75;
 /// window of one surface passes it in 97 of 100 cases (chi squared with six degrees of freedom).
 const MAX_SQUARES: f64 = 2.3;
 /// No sensor is better, relative to the inverse depth: what remains of exact images is the curvature of surfaces.
-const LEAST_RELATIVE_SIGMA: f64 = 1e-3;
+const MIN_RELATIVE_SIGMA: f64 = 1e-3;
 /// Iterations at the most; with a baseline of centimetres two or three do.
 const MAX_ITERATIONS: usize = 12;
 /// Pixels apart at which the noise of the sensor is no longer common: windows of stereo matching are narrower.
@@ -60,7 +60,7 @@ struct Noise {
     /// What a single reading has of its own.
     own_sigma: f64,
     /// The part of its variance that neighbours do not share.
-    own_share: f64,
+    own_fraction: f64,
 }
 
 /// A plane in the depth camera: `1/z = inverse_depth + by_pixel . (pixel - centre)`.
@@ -125,11 +125,11 @@ impl<'a> RegisteredDepth<'a> {
                     return None;
                 }
                 let place = Vector3::new(1.0, at.x - centre[0] as f64, at.y - centre[1] as f64);
-                let own = place.dot(&(window.cofactors * place)) * self.noise.own_share;
+                let own = place.dot(&(window.cofactors * place)) * self.noise.own_fraction;
                 return Some(DepthSample {
                     depth_m: 1.0 / inverse_depth,
                     inverse_depth_gradient: [plane.x, plane.y],
-                    relative_sigma: (1.0 - self.noise.own_share + own).sqrt(),
+                    relative_sigma: (1.0 - self.noise.own_fraction + own).sqrt(),
                     slope_m: self.slope(centre, 1.0 / inverse_depth),
                 });
             }
@@ -179,7 +179,7 @@ impl<'a> RegisteredDepth<'a> {
     fn is_whole(&self, window: &Window) -> bool {
         // A count of the image is one step of depth, whose inverse is coarser the nearer.
         let rounding = self.depth_camera.unit_m * window.inverse_depth.powi(2) / 12f64.sqrt();
-        let least = LEAST_RELATIVE_SIGMA * window.inverse_depth;
+        let least = MIN_RELATIVE_SIGMA * window.inverse_depth;
         let sigma = self.noise.own_sigma.hypot(rounding).max(least);
         let (mut sum, mut count) = (0.0, 0u32);
         for (offset, inverse) in self.readings(window.centre, window.half) {
@@ -231,8 +231,8 @@ impl Noise {
             *median / (0.6745 * 6f64.sqrt())
         };
         let [near, far] = [1, FAR_PX].map(sigma);
-        let own_share = if far > near { (near / far).powi(2) } else { 1.0 };
-        Noise { own_sigma: near, own_share }
+        let own_fraction = if far > near { (near / far).powi(2) } else { 1.0 };
+        Noise { own_sigma: near, own_fraction }
     }
 }
 
@@ -310,11 +310,11 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_averaged_without_bias_and_its_share_is_known() {
+    fn noise_is_averaged_without_bias_and_its_fraction_is_known() {
         let (camera, image) = (camera(), step(1.0));
         let registered = RegisteredDepth::new(&image, &camera, &camera.camera).unwrap();
         assert!((registered.noise.own_sigma / NOISE_PER_M - 1.0).abs() < 0.1, "{:?}", registered.noise);
-        assert!(registered.noise.own_share > 0.85, "{:?}", registered.noise);
+        assert!(registered.noise.own_fraction > 0.85, "{:?}", registered.noise);
         let places = (4..SIDE - 4).step_by(5);
         let pixels = places.clone().flat_map(|y| places.clone().map(move |x| Pixel::new(f64::from(x), f64::from(y))));
         let samples: Vec<DepthSample> = pixels.filter_map(|pixel| registered.sample_at(&pixel)).collect();

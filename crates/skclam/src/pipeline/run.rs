@@ -1,6 +1,6 @@
 //! The run itself, and its results as files.
 
-use super::gather::{Gathered, gather};
+use super::front_end::{FrontEnd, front_end};
 use super::pose_sigmas::{covariance_csv, pose_sigmas_csv};
 use super::sentences::verdict_sentence;
 use super::verdict::{Evidence, VerdictCase};
@@ -47,7 +47,7 @@ pub struct Outcome {
     pub pose_sigmas: Vec<PoseSigma>,
     /// `None` without depth, or where no map was asked for.
     pub maps: Option<Maps>,
-    /// Every figure.
+    /// Every metric.
     pub summary: Summary,
     /// What the report shows beside them.
     pub report: ReportData,
@@ -104,15 +104,14 @@ struct Judging {
 
 impl Judging {
     fn conclude(self, outcome: &mut Outcome) {
-        outcome.summary.reasons = judge(&outcome.summary, &self.evidence, &self.case, &outcome.calibration.warnings);
-        outcome.summary.grade = worst(&outcome.summary.reasons);
+        outcome.summary.checks = judge(&outcome.summary, &self.evidence, &self.case, &outcome.calibration.warnings);
+        outcome.summary.status = worst(&outcome.summary.checks);
     }
 }
 
 /// The estimate, judged on held-out postures.
 fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, Judging), RunError> {
-    let Gathered { images, pairs, data, tracks, mut board, mut told, camera_fixed } =
-        gather(dataset, config, progress)?;
+    let FrontEnd { images, pairs, data, tracks, mut board, mut told, ego_mask } = front_end(dataset, config, progress)?;
     let mut calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
@@ -138,7 +137,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     let case = evidence.case(causes.first());
     let rig = calibration.model.corrected_rig();
     let trajectory = localize(dataset, &rig)?;
-    let (mask, camera_fixed) = match camera_fixed {
+    let (mask, ego_mask) = match ego_mask {
         Some((found, summary)) => ((summary.outcome == MaskOutcome::Found).then_some(found.mask), Some(summary)),
         None => (None, None),
     };
@@ -150,11 +149,11 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         program: "skclam".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         verdict: verdict_sentence(&case),
-        grade: case.grade(),
+        status: case.status(),
         case: case.clone(),
         evidence: evidence.clone(),
         causes,
-        reasons: Vec::new(),
+        checks: Vec::new(),
         scale,
         rig: dataset.rig.name.clone(),
         counts: Counts {
@@ -176,7 +175,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
             })
             .collect(),
         keypoints: images.iter().map(|image| image.features.keypoints.len()).collect(),
-        camera_fixed,
+        ego_mask,
         tracks,
         board,
         calibration: CalibrationSummary::of(&calibration, dataset.has_joints()),

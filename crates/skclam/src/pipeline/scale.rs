@@ -60,7 +60,7 @@ impl ScaleSource {
             ScaleSource::FlangePoses
         } else if !is_free(ParameterKind::A) && !is_free(ParameterKind::D) {
             ScaleSource::NominalLengths
-        } else if calibration.noise.depth_per_m.is_some() {
+        } else if calibration.noise.depth_sigma_per_m2.is_some() {
             ScaleSource::Depth
         } else {
             ScaleSource::Priors

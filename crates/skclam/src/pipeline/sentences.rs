@@ -82,8 +82,10 @@ fn base_text(error: &RegisteredError) -> &'static str {
 
 fn improvement(error: &RegisteredError) -> String {
     let ruler = match error.ruler_sigma_mm / error.sigma_mm {
-        share if share > 0.7 => format!(", most of it ({} mm) the tolerance of the scale", short(error.ruler_sigma_mm)),
-        share if share > 0.2 => format!(", {} mm of it the tolerance of the scale", short(error.ruler_sigma_mm)),
+        fraction if fraction > 0.7 => {
+            format!(", most of it ({} mm) the tolerance of the scale", short(error.ruler_sigma_mm))
+        }
+        fraction if fraction > 0.2 => format!(", {} mm of it the tolerance of the scale", short(error.ruler_sigma_mm)),
         _ => String::new(),
     };
     format!(
@@ -151,9 +153,9 @@ pub fn cause_text(cause: &Cause) -> String {
                 }
             }
         }
-        Cause::DepthNoise { sigma_per_m, tolerance_per_m } => format!(
+        Cause::DepthNoise { depth_sigma_per_m2, tolerance_per_m } => format!(
             "depth readings scatter by {} mm at 1 m, where {} mm is much: do depth images and colour images belong together (same posture, color_from_depth)?",
-            plain(sigma_per_m * 1e3),
+            plain(depth_sigma_per_m2 * 1e3),
             plain(tolerance_per_m * 1e3)
         ),
         Cause::Gross { finding } => super::describe(finding).trim_end_matches('.').to_owned(),

@@ -1,8 +1,8 @@
 //! A rig on a recording that it was not fitted to: another day, other postures, the camera taken off and put back.
 
-use super::gather::{Gathered, gather};
+use super::front_end::{FrontEnd, front_end};
 use super::verdict::UNEXPLAINED_PX;
-use super::{Config, RunError, SurfaceAgreement, VerdictGrade, localize, surface_agreement};
+use super::{Config, RunError, Status, SurfaceAgreement, localize, surface_agreement};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ pub struct Validation {
     /// The judgement in one sentence.
     pub verdict: String,
     /// What the case calls for.
-    pub grade: VerdictGrade,
+    pub status: Status,
     /// The case.
     pub case: ValidationCase,
     /// Name of the rig under test.
@@ -76,13 +76,13 @@ pub enum ValidationCase {
 
 impl ValidationCase {
     /// What it calls for.
-    pub fn grade(self) -> VerdictGrade {
+    pub fn status(self) -> Status {
         match self {
-            ValidationCase::Holds => VerdictGrade::Good,
+            ValidationCase::Holds => Status::Good,
             ValidationCase::Same | ValidationCase::BetterButUnexplained | ValidationCase::DepthInconsistent => {
-                VerdictGrade::Caution
+                Status::Caution
             }
-            ValidationCase::NotBetter => VerdictGrade::Bad,
+            ValidationCase::NotBetter => Status::Bad,
         }
     }
 }
@@ -96,7 +96,7 @@ pub fn validate(
     config: &Config,
     progress: &dyn Progress,
 ) -> Result<Validation, RunError> {
-    let Gathered { data, .. } = gather(dataset, config, progress)?;
+    let FrontEnd { data, .. } = front_end(dataset, config, progress)?;
     progress.begin(Stage::Validate, 2);
     let fitted = |rig: &Rig| -> Result<Model, RunError> {
         let model = match refit {
@@ -133,7 +133,7 @@ pub fn validate(
     let case = case(metric_px, &comparison, depth_agreement.as_ref());
     Ok(Validation {
         verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_agreement.as_ref()),
-        grade: case.grade(),
+        status: case.status(),
         case,
         by_posture,
         rig: rig.name.clone(),
@@ -210,12 +210,12 @@ fn sentence(
     let with = if refit.is_empty() { String::new() } else { format!(", after fitting {refit} of both anew") };
     let observations = comparison.reprojection.calibrated;
     let left_out = 1.0 - observations.inliers as f64 / observations.observations.max(1) as f64;
-    let share = match observations.observations {
+    let fraction = match observations.observations {
         0 => String::new(),
         _ => format!(", without the {:.0} % of the observations that fit neither", 100.0 * left_out),
     };
     let metrics =
-        format!("{metric}: {:.2} px, the data set's own rig {:.2} px{share}{with}", px.calibrated, px.nominal);
+        format!("{metric}: {:.2} px, the data set's own rig {:.2} px{fraction}{with}", px.calibrated, px.nominal);
     match case {
         ValidationCase::Holds => format!("The rig holds on this recording ({metrics})."),
         ValidationCase::Same => format!("The rig fits this recording exactly as the data set's own does ({metrics})."),
@@ -255,16 +255,16 @@ mod tests {
         };
         use ValidationCase::{BetterButUnexplained, DepthInconsistent, Holds, NotBetter, Same};
         let rows = [
-            (found([9.0, 1.0], 0.2, 95, 1.0, 5.0), Holds, VerdictGrade::Good, "without the 5 % of the observations"),
-            (found([9.0, 1.0], 3.0, 95, 1.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
-            (found([9.0, 1.0], 0.2, 30, 1.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
-            (found([9.0, 6.0], 0.2, 95, 6.0, 5.0), BetterButUnexplained, VerdictGrade::Caution, "does NOT explain"),
-            (found([9.0, 1.0], 0.2, 95, 1.0, 9.0), DepthInconsistent, VerdictGrade::Caution, "NOT the depth"),
-            (found([1.0, 2.0], 0.2, 95, 1.0, 5.0), NotBetter, VerdictGrade::Bad, "does NOT beat"),
-            (found([1.0, 1.0], 0.2, 95, 1.0, 5.0), Same, VerdictGrade::Caution, "exactly as"),
+            (found([9.0, 1.0], 0.2, 95, 1.0, 5.0), Holds, Status::Good, "without the 5 % of the observations"),
+            (found([9.0, 1.0], 3.0, 95, 1.0, 5.0), BetterButUnexplained, Status::Caution, "does NOT explain"),
+            (found([9.0, 1.0], 0.2, 30, 1.0, 5.0), BetterButUnexplained, Status::Caution, "does NOT explain"),
+            (found([9.0, 6.0], 0.2, 95, 6.0, 5.0), BetterButUnexplained, Status::Caution, "does NOT explain"),
+            (found([9.0, 1.0], 0.2, 95, 1.0, 9.0), DepthInconsistent, Status::Caution, "NOT the depth"),
+            (found([1.0, 2.0], 0.2, 95, 1.0, 5.0), NotBetter, Status::Bad, "does NOT beat"),
+            (found([1.0, 1.0], 0.2, 95, 1.0, 5.0), Same, Status::Caution, "exactly as"),
         ];
-        for ((case, said), expected, grade, says) in rows {
-            assert_eq!((case, case.grade()), (expected, grade), "{said}");
+        for ((case, said), expected, status, says) in rows {
+            assert_eq!((case, case.status()), (expected, status), "{said}");
             assert!(said.contains(says), "{said}");
         }
     }

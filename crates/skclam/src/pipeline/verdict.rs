@@ -7,7 +7,7 @@ use skclam_calibration::{Calibration, Rigs};
 /// What a result is good for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum VerdictGrade {
+pub enum Status {
     /// Better than the nominal rig on postures that the fit did not see.
     Good,
     /// It may be better, but something was not measured, does not fit, or only a part of it helps.
@@ -140,7 +140,7 @@ impl Evidence {
 
     /// The first case of the table that applies. `cause`: what explains most of what does not fit.
     pub fn case(&self, cause: Option<&Cause>) -> VerdictCase {
-        let gross = cause.is_some_and(|cause| cause.grade() == VerdictGrade::Bad);
+        let gross = cause.is_some_and(|cause| cause.status() == Status::Bad);
         if self.is_unexplained() || gross {
             return VerdictCase::Unexplained {
                 cause: cause.cloned(),
@@ -166,7 +166,7 @@ impl Evidence {
             return VerdictCase::SigmaAboveChange { error };
         }
         match cause {
-            Some(cause) if cause.grade() != VerdictGrade::Good => {
+            Some(cause) if cause.status() != Status::Good => {
                 VerdictCase::BetterWithCause { cause: cause.clone(), error }
             }
             _ if !self.sigma_checked => VerdictCase::BetterUnchecked { error, held_out_px },
@@ -177,10 +177,10 @@ impl Evidence {
 
 impl VerdictCase {
     /// What it calls for.
-    pub fn grade(&self) -> VerdictGrade {
+    pub fn status(&self) -> Status {
         match self {
             VerdictCase::Unexplained { .. } | VerdictCase::NotBetter { .. } | VerdictCase::FitsNoBetter { .. } => {
-                VerdictGrade::Bad
+                Status::Bad
             }
             // No alarm: it may well be right, but nobody can rely on it.
             VerdictCase::SigmaAboveChange { .. }
@@ -188,8 +188,8 @@ impl VerdictCase {
             | VerdictCase::MountSuffices { .. }
             | VerdictCase::NoSigma { .. }
             | VerdictCase::BetterWithCause { .. }
-            | VerdictCase::BetterUnchecked { .. } => VerdictGrade::Caution,
-            VerdictCase::Better { .. } => VerdictGrade::Good,
+            | VerdictCase::BetterUnchecked { .. } => Status::Caution,
+            VerdictCase::Better { .. } => Status::Good,
         }
     }
 }
@@ -220,7 +220,7 @@ mod tests {
     /// One row of the table: the numbers, what they call for, and what the sentence must and must not say.
     #[test]
     fn every_row_of_the_table() {
-        use VerdictGrade::{Bad, Caution, Good};
+        use Status::{Bad, Caution, Good};
         let error = |change_mm: f64, sigma_mm: f64| {
             let nominal_mm = change_mm.hypot(sigma_mm);
             Some(RegisteredError { change_mm, sigma_mm, ruler_sigma_mm: 0.0, nominal_mm, base_fitted: true })
@@ -232,7 +232,7 @@ mod tests {
             unit: "px".to_owned(),
             chi_squared: 1e4,
         };
-        type Row<'a> = (&'a str, Evidence, Option<&'a Cause>, VerdictGrade, &'a str, &'a str);
+        type Row<'a> = (&'a str, Evidence, Option<&'a Cause>, Status, &'a str, &'a str);
         let rows: Vec<Row<'_>> = vec![
             ("clean", good(), None, Good, "fell from about 4.0 to about 0.30 mm", "NOT"),
             ("lines", Evidence { epipolar_px: Some([9.0, 2.5]), ..good() }, None, Bad, "DO NOT TRUST", "fell"),
@@ -279,10 +279,10 @@ mod tests {
                 "mount suffices",
             ),
         ];
-        for (name, evidence, cause, grade, says, says_not) in rows {
+        for (name, evidence, cause, status, says, says_not) in rows {
             let case = evidence.case(cause);
             let sentence = verdict_sentence(&case);
-            assert_eq!(case.grade(), grade, "{name}: {sentence}");
+            assert_eq!(case.status(), status, "{name}: {sentence}");
             assert!(sentence.contains(says), "{name}: {sentence}");
             assert!(!sentence.contains(says_not), "{name}: {sentence}");
         }

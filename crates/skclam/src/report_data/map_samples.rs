@@ -25,9 +25,9 @@ pub struct MapSamples {
     pub postures: Packed,
     /// Median distance to the surfaces of other images at the nominal poses, mm, 32-bit floating point; NaN where no other
     /// image shows the point.
-    pub gaps_nominal_mm: Packed,
+    pub point_to_plane_nominal_mm: Packed,
     /// The same at the calibrated poses.
-    pub gaps_calibrated_mm: Packed,
+    pub point_to_plane_calibrated_mm: Packed,
 }
 
 /// Grey for pixels that the colour camera does not see.
@@ -89,7 +89,7 @@ pub fn sample_map(
         calibrated_m: positions(calibrated),
         colors: Packed::of_u8(&kept.iter().filter_map(|&k| colors[k]).flatten().collect::<Vec<u8>>()),
         postures: Packed::of_u16(kept.iter().map(|&k| calibrated[k].posture.min(usize::from(u16::MAX)) as u16)),
-        gaps_nominal_mm: gaps(nominal),
-        gaps_calibrated_mm: gaps(calibrated),
+        point_to_plane_nominal_mm: gaps(nominal),
+        point_to_plane_calibrated_mm: gaps(calibrated),
     }))
 }

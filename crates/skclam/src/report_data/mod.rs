@@ -1,4 +1,4 @@
-//! `report_data.json`: what the report shows beside the figures of `summary.json`, so that it can be built again from the result
+//! `report_data.json`: what the report shows beside the metrics of `summary.json`, so that it can be built again from the result
 //! folder alone.
 //!
 //! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of numbers by the
@@ -7,12 +7,12 @@
 
 mod map_samples;
 mod packed;
-mod pair_pictures;
+mod pair_images;
 mod residuals;
 
 pub use map_samples::{MapSamples, sample_map};
-pub use packed::{Packed, Picture};
-pub use pair_pictures::{PairPicture, PicturedMatch, pair_pictures};
+pub use packed::{EmbeddedImage, Packed};
+pub use pair_images::{DrawnMatch, PairImages, pair_images};
 pub use residuals::{
     Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, residual_data,
 };
@@ -45,7 +45,7 @@ pub struct ReportData {
     /// How far the matches are from their epipolar lines, before and after.
     pub residuals: ResidualData,
     /// The worst, the median and the best pair.
-    pub pictures: Vec<PairPicture>,
+    pub images: Vec<PairImages>,
     /// Correlations of the free parameters, in the order of the summary; `None` where the estimator has no covariance.
     pub correlations: Option<Vec<Vec<f64>>>,
     /// What is known of flange and camera at the recorded postures and over the workspace.
@@ -104,7 +104,7 @@ impl ReportData {
             calibrated_m: centre(&calibrated_poses[at].base_from_camera),
         });
         let (residuals, per_match) = residual_data(dataset, data, calibration)?;
-        let pictures = pair_pictures(dataset, data, &calibration.model, &residuals, &per_match)?;
+        let images = pair_images(dataset, data, &calibration.model, &residuals, &per_match)?;
         Ok(ReportData {
             format: FORMAT,
             dataset: dataset.folder.display().to_string(),
@@ -119,7 +119,7 @@ impl ReportData {
                 .collect(),
             postures: postures.collect(),
             residuals,
-            pictures,
+            images,
             correlations: calibration.covariance.as_ref().map(correlations),
             pose_sigmas: pose_sigmas.to_vec(),
             map: None,

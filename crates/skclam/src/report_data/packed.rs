@@ -35,7 +35,7 @@ impl Packed {
 
 /// A JPEG picture.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Picture {
+pub struct EmbeddedImage {
     /// Pixels across.
     pub width: u32,
     /// Pixels down.

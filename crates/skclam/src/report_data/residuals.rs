@@ -1,6 +1,6 @@
 //! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by posture and by pair; and by place
-//! in the image, where sights stand beside the projections of their points. Where no pair was heard (a board alone), histogram and postures are of
-//! the sights too. Every figure is over all of them, none is drawn at random.
+//! in the image, where observations stand beside the projections of their points. Where no pair was heard (a board alone), histogram and postures are of
+//! the observations too. Every metric is over all of them, none is drawn at random.
 
 use super::rounded;
 use crate::dataset::Dataset;
@@ -19,10 +19,10 @@ const DECADES: (i32, i32) = (-3, 3);
 /// Cells of the image along its longer edge.
 const CELLS_ACROSS: u32 = 16;
 /// A cell with fewer residuals says nothing.
-const LEAST_RESIDUALS: usize = 8;
+const MIN_RESIDUALS: usize = 8;
 
 /// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line. Where there are no matches, an end is a
-/// sight of a board's corner or of a scene point, and its distance is to where that should appear.
+/// observation of a board's corner or of a scene point, and its distance is to where that should appear.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualData {
     /// What the distances of `histogram` and `postures` are.
@@ -164,16 +164,19 @@ pub fn residual_data(
     } else {
         (
             ResidualKind::Reprojection,
-            reprojection.iter().map(|sight| (sight.pixel, [sight.nominal, sight.calibrated])).collect(),
+            reprojection
+                .iter()
+                .map(|observation| (observation.pixel, [observation.nominal, observation.calibrated]))
+                .collect(),
         )
     };
     let (grid, cells) = cells(&places, camera.width, camera.height);
     let distances = if ends.is_empty() { arrows } else { ResidualKind::Epipolar };
     if ends.is_empty() {
-        ends.extend(reprojection.iter().map(|sight| End {
-            posture: sight.posture,
-            pixel: sight.pixel,
-            ways: [sight.nominal, sight.calibrated],
+        ends.extend(reprojection.iter().map(|observation| End {
+            posture: observation.posture,
+            pixel: observation.pixel,
+            ways: [observation.nominal, observation.calibrated],
         }));
     }
     let postures = postures(&ends, data.postures.len());
@@ -235,7 +238,7 @@ fn cells(places: &[Place], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>
             })
         };
         let center = |at: usize, size: f64| rounded((at as f64 + 0.5) * size - 0.5, 2);
-        (members.len() >= LEAST_RESIDUALS).then(|| ImageCell {
+        (members.len() >= MIN_RESIDUALS).then(|| ImageCell {
             center_px: [center(at % columns, cell_size[0]), center(at / columns, cell_size[1])],
             count: members.len(),
             before_px: middle(0),
@@ -246,9 +249,9 @@ fn cells(places: &[Place], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>
 }
 
 /// The value below which a share of a list lies; 0 for an empty one.
-fn quantile(values: &mut [f64], share: f64) -> f64 {
+fn quantile(values: &mut [f64], fraction: f64) -> f64 {
     let Some(last) = values.len().checked_sub(1) else { return 0.0 };
-    let (_, value, _) = values.select_nth_unstable_by((share * last as f64).round() as usize, f64::total_cmp);
+    let (_, value, _) = values.select_nth_unstable_by((fraction * last as f64).round() as usize, f64::total_cmp);
     *value
 }
 

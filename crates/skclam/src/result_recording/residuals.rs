@@ -2,7 +2,7 @@
 
 use super::ResultRecordingError;
 use crate::dataset::Dataset;
-use crate::pipeline::{Config, correspondences, drop_camera_fixed, extract_features, match_pairs, pairs_to_match};
+use crate::pipeline::{Config, correspondences, drop_ego_masked, extract_features, match_pairs, pairs_to_match};
 use crate::progress::Progress;
 use skclam_calibration::{Correspondences, PairMatches};
 use skclam_geometry::{FundamentalMatrix, Isometry3, PinholeCamera, Pixel, Point3};
@@ -17,7 +17,7 @@ pub(super) fn matches_again(
     let mut images = extract_features(dataset, config, progress)?;
     let chosen = pairs_to_match(&images, &dataset.rig.color, config);
     if dataset.rig.color_mask.is_none() {
-        drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?;
+        drop_ego_masked(&mut images, &chosen, &dataset.rig.color, config)?;
     }
     let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
     Ok(correspondences(dataset, &images, &pairs, config, progress)?.0)
@@ -27,11 +27,11 @@ pub(super) fn matches_again(
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ResidualLine {
     pub measured: Pixel,
-    /// The nearest point of the epipolar line that the partner's pixel makes in this image.
+    /// The nearest point of the epipolar line that the neighbor's pixel makes in this image.
     pub on_epipolar_line: Pixel,
 }
 
-/// The matches of one image with all its partners.
+/// The matches of one image with all its neighbors.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PostureResiduals {
     /// Evenly taken from all matches.
@@ -57,13 +57,13 @@ pub(super) fn posture_residuals(
     let mut lines = Vec::new();
     let mut at = 0;
     for pair in of_posture {
-        let partner = if pair.a == posture { pair.b } else { pair.a };
-        let this_from_partner = poses[posture].inverse() * poses[partner];
-        let fundamental = FundamentalMatrix::from_pose(&rig.color, &rig.color, &this_from_partner);
-        for (in_this, in_partner) in pixels(pair, posture) {
+        let neighbor = if pair.a == posture { pair.b } else { pair.a };
+        let this_from_neighbor = poses[posture].inverse() * poses[neighbor];
+        let fundamental = FundamentalMatrix::from_pose(&rig.color, &rig.color, &this_from_neighbor);
+        for (in_this, in_neighbor) in pixels(pair, posture) {
             at += 1;
             let undistorted = rig.color.undistort(&in_this);
-            let line = fundamental.line_in_a(&rig.color.undistort(&in_partner)).0;
+            let line = fundamental.line_in_a(&rig.color.undistort(&in_neighbor)).0;
             let normal_squared = line.x * line.x + line.y * line.y;
             let along = (line.x * undistorted.x + line.y * undistorted.y + line.z) / normal_squared;
             let foot = Pixel::new(undistorted.x - along * line.x, undistorted.y - along * line.y);
@@ -86,7 +86,7 @@ pub(super) fn posture_residuals(
     Some(PostureResiduals { lines, matches: distances.len(), median_px })
 }
 
-/// The pixels of a pair's matches: in the image of `posture`, and in its partner's.
+/// The pixels of a pair's matches: in the image of `posture`, and in its neighbor's.
 fn pixels(pair: &PairMatches, posture: usize) -> impl Iterator<Item = (Pixel, Pixel)> + '_ {
     let first = pair.a == posture;
     pair.matches.iter().map(move |m| if first { (m.in_a, m.in_b) } else { (m.in_b, m.in_a) })

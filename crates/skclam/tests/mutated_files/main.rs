@@ -17,7 +17,7 @@ use std::path::Path;
 const ALLOCATED_A_BYTE: usize = 300;
 const ALLOCATED_ONCE: usize = 16 << 20;
 /// The largest resident set of the test process, MiB.
-const MOST_RESIDENT_MIB: f64 = 400.0;
+const MAX_RESIDENT_MIB: f64 = 400.0;
 
 fn lay_down(path: &Path, bytes: &[u8]) {
     std::fs::write(path, bytes).unwrap();
@@ -32,8 +32,8 @@ fn on_trial(reader: &str, seeds: &[Seed], pieces: &[&str], read: fn(&Path) -> bo
         damage: &|seed, random| damaged_text(all[seed], &all, pieces, random),
         lay_down: &lay_down,
         read: &read,
-        most_allocated: &|length| ALLOCATED_ONCE + ALLOCATED_A_BYTE * length,
-        most_resident_mib: MOST_RESIDENT_MIB,
+        max_allocated: &|length| ALLOCATED_ONCE + ALLOCATED_A_BYTE * length,
+        max_resident_mib: MAX_RESIDENT_MIB,
     }
     .run();
 }
@@ -94,8 +94,8 @@ fn damaged_maps_are_answered() {
         },
         lay_down: &lay_down,
         read: &read::map,
-        most_allocated: &|length| ALLOCATED_ONCE + ALLOCATED_A_BYTE * length,
-        most_resident_mib: MOST_RESIDENT_MIB,
+        max_allocated: &|length| ALLOCATED_ONCE + ALLOCATED_A_BYTE * length,
+        max_resident_mib: MAX_RESIDENT_MIB,
     }
     .run();
 }
@@ -110,8 +110,8 @@ fn damaged_images_are_answered() {
         lay_down: &lay_down,
         read: &read::image,
         // The camera's size bounds the pixels; a decoder has its own tables.
-        most_allocated: &|_| 64 << 20,
-        most_resident_mib: MOST_RESIDENT_MIB,
+        max_allocated: &|_| 64 << 20,
+        max_resident_mib: MAX_RESIDENT_MIB,
     }
     .run();
 }
@@ -125,8 +125,8 @@ fn damaged_recordings_are_imported_or_refused() {
         damage: &|seed, random| damaged_bytes(&seeds[seed].bytes, random),
         lay_down: &lay_down,
         read: &importing::import,
-        most_allocated: &|_| 300 << 20,
-        most_resident_mib: MOST_RESIDENT_MIB,
+        max_allocated: &|_| 300 << 20,
+        max_resident_mib: MAX_RESIDENT_MIB,
     }
     .run();
 }

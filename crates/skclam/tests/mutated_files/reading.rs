@@ -97,7 +97,7 @@ pub fn targets(path: &Path) -> bool {
 pub fn joint_log(path: &Path) -> bool {
     let Ok(mut track) = read_joint_log(path, arm(), 0.25) else { return false };
     track.sort();
-    skclam::recordings::find_stands(&track, &skclam::recordings::SelectionOptions::default());
+    skclam::recordings::find_stationary_intervals(&track, &skclam::recordings::SelectionOptions::default());
     true
 }
 

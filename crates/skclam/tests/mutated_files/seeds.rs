@@ -10,7 +10,7 @@ use skclam_damage::Seed;
 
 pub const RIG_PIECES: [&str; 24] = [
     "[joint_corrections]\n",
-    "gear_cos_deg = [0, 1, 6]\n",
+    "transmission_cos_deg = [0, 1, 6]\n",
     "[robot]\n",
     "[[robot.joint]]\n",
     "[mount]\n",
@@ -157,7 +157,7 @@ square_mm = 15
 dictionary = "DICT_4X4_50"
 marker_mm = 11
 [joint_corrections]
-gear_sin_deg = [0.01, 0.0, 0.0]
+transmission_sin_deg = [0.01, 0.0, 0.0]
 compliance_deg_per_m = [-0.05, 0.0, 0.0]
 time_offset_s = -0.004
 [prior]

@@ -1,7 +1,7 @@
 //! Flange poses that are off in every posture anew.
 
 use super::rgbd;
-use crate::synthetic::{diverse_postures, hp3j, manufacture, normal, perturbed, record, room, seeded};
+use crate::synthetic::{box_points, diverse_postures, hp3j, manufacture, normal, perturbed, record, seeded};
 use crate::{BundleOptions, Correspondences, Free, Model, Parameter, PostureErrorPolicy, calibrate_bundle};
 use nalgebra::Vector3;
 use skclam_geometry::Isometry3;
@@ -27,7 +27,7 @@ fn flange_poses(seed: u64) -> (Rig, Correspondences, Vec<[f64; 6]>) {
         (told.state, stand.state) = (PostureState::FlangePose(pose), PostureState::FlangePose(pose * off));
         errors.push(error);
     }
-    let mut data = record(&truth, &stand, &room(3000, &mut rng), rgbd(), &mut rng);
+    let mut data = record(&truth, &stand, &box_points(3000, &mut rng), rgbd(), &mut rng);
     data.postures = told;
     (truth, data, errors)
 }

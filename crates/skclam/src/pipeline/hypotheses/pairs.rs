@@ -21,7 +21,7 @@ const MAX_COMPARED: usize = 2500;
 /// Pairs that are matched at the most.
 const MAX_PAIRS: usize = 240;
 /// Partners of an image by shared descriptors.
-const PARTNERS: usize = 4;
+const NEIGHBORS: usize = 4;
 /// A pair with fewer verified matches may be an accident.
 const MIN_MATCHES: usize = 20;
 /// Matches that stay within so many pixels of their place are of what moves with the camera (or of a camera at rest).
@@ -142,9 +142,9 @@ fn choose(images: &[Strongest], progress: &dyn Progress) -> Result<Vec<(usize, u
         by_image[b].push((count, (a, b)));
     }
     let mut chosen: Vec<(usize, usize)> = (1..images.len()).map(|b| (b - 1, b)).collect();
-    for partners in &mut by_image {
-        partners.sort_by(|x, y| y.0.cmp(&x.0).then(x.1.cmp(&y.1)));
-        chosen.extend(partners.iter().take(PARTNERS).map(|(_, pair)| *pair));
+    for neighbors in &mut by_image {
+        neighbors.sort_by(|x, y| y.0.cmp(&x.0).then(x.1.cmp(&y.1)));
+        chosen.extend(neighbors.iter().take(NEIGHBORS).map(|(_, pair)| *pair));
     }
     chosen.sort_unstable();
     chosen.dedup();

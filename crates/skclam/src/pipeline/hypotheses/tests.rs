@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::output::{Contents, StagedFolder};
-use crate::pipeline::gather::gather;
+use crate::pipeline::front_end::front_end;
 use crate::pipeline::{calibrate, extract_features};
 use crate::progress::Silent;
 use crate::virtual_cell::{scaled_rig, write_virtual_cell};
@@ -196,7 +196,7 @@ fn shifted_depth_images_are_named_with_the_number_of_rows() {
             record.depth = names[(row as i64 - by).rem_euclid(names.len() as i64) as usize].clone();
         }
         let config = Config::default();
-        let data = gather(&dataset, &config, &Silent).expect("matches").data;
+        let data = front_end(&dataset, &config, &Silent).expect("matches").data;
         let calibration = calibrate(&dataset, &data, &config, &Silent).expect("a calibration");
         let found = find_depth_shift(&dataset, &calibration, &data.tracks).expect("an answer");
         println!("{by}: {}", found.as_ref().map_or("none".to_owned(), describe_depth_shift));

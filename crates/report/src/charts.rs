@@ -61,7 +61,7 @@ fn grouped(value: f64) -> String {
     if value < 0.0 { format!("-{out}") } else { out }
 }
 
-/// Shows figures of `summary.json` and says where each is from: `<data value="..." data-from="/json/pointer">text</data>`, the value
+/// Shows metrics of `summary.json` and says where each is from: `<data value="..." data-from="/json/pointer">text</data>`, the value
 /// as it stands in the file, the text with fewer digits.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers<'a> {
@@ -74,9 +74,9 @@ impl<'a> Numbers<'a> {
         Numbers { run }
     }
 
-    /// The figure as HTML; "not measured" where there is none.
+    /// The metric as HTML; "not measured" where there is none.
     pub fn show(&self, pointer: &str, digits: Digits) -> String {
-        let found = self.run.figure(pointer);
+        let found = self.run.metric(pointer);
         match (found, found.and_then(Value::as_f64)) {
             (Some(found), Some(value)) => {
                 format!("<data value=\"{found}\" data-from=\"{}\">{}</data>", escaped(pointer), number(value, digits))

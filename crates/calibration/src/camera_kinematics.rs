@@ -11,7 +11,7 @@ use skclam_rig::{JointReading, Posture, PostureState, Rig, RigError, joint_readi
 
 /// The postures of a recording, ready to be posed by any model of the same arm.
 #[derive(Debug, Clone)]
-pub(crate) struct Motion {
+pub(crate) struct CameraKinematics {
     postures: Vec<PostureMotion>,
 }
 
@@ -27,11 +27,11 @@ pub(crate) struct CameraMotion {
     pub base_from_camera: Isometry3,
     /// One a parameter; zero for those that do not move the camera.
     pub by_parameter: Vec<Vector6<f64>>,
-    /// One an error component of the posture: its joints, or the six of a flange pose ([`Motion::error_components`]).
+    /// One an error component of the posture: its joints, or the six of a flange pose ([`CameraKinematics::error_components`]).
     pub by_joint: Vec<Vector6<f64>>,
 }
 
-impl Motion {
+impl CameraKinematics {
     pub(crate) fn new(nominal: &Rig, postures: &[Posture]) -> Result<Self, CalibrationError> {
         let postures = postures.iter().map(|posture| match &posture.state {
             PostureState::FlangePose(base_from_flange) => Ok(PostureMotion::Flange(*base_from_flange)),
@@ -43,7 +43,7 @@ impl Motion {
                 Ok(PostureMotion::Joints { index, readings })
             }
         });
-        Ok(Motion { postures: postures.collect::<Result<_, CalibrationError>>()? })
+        Ok(CameraKinematics { postures: postures.collect::<Result<_, CalibrationError>>()? })
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -78,7 +78,7 @@ impl Motion {
         }
     }
 
-    /// Camera pose of a posture. `error`: the posture's error ([`Motion::error_components`]); empty for none.
+    /// Camera pose of a posture. `error`: the posture's error ([`CameraKinematics::error_components`]); empty for none.
     pub(crate) fn pose(&self, model: &Model, posture: usize, error: &[f64]) -> Result<Isometry3, CalibrationError> {
         let base_from_flange = match &self.postures[posture] {
             PostureMotion::Flange(base_from_flange) => base_from_flange * flange_error(error),
@@ -137,14 +137,14 @@ impl Motion {
             Parameter::TimeOffset => {
                 by_joint.iter().zip(readings).fold(Vector6::zeros(), |sum, (twist, r)| sum + twist * r.rate)
             }
-            Parameter::GearSin(joint) => {
+            Parameter::TransmissionSin(joint) => {
                 by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].value.sin())
             }
-            Parameter::GearCos(joint) => {
+            Parameter::TransmissionCos(joint) => {
                 by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].value.cos())
             }
             Parameter::Compliance(joint) => {
-                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].lever)
+                by_joint.get(joint).map_or_else(Vector6::zeros, |t| t * readings[joint].gravity_arm)
             }
             Parameter::Intrinsic(_)
             | Parameter::DepthScale
@@ -213,14 +213,16 @@ mod tests {
         let nominal = hp3j();
         let mut rng = seeded(1);
         let postures = diverse_postures(&nominal, 6, &mut rng);
-        let motion = Motion::new(&nominal, &postures).unwrap();
+        let motion = CameraKinematics::new(&nominal, &postures).unwrap();
         let mut parameters = Free::All.candidates(&nominal, true, true).unwrap();
         parameters
-            .extend((0..6).flat_map(|j| [Parameter::GearSin(j), Parameter::GearCos(j), Parameter::Compliance(j)]));
+            .extend((0..6).flat_map(|j| {
+                [Parameter::TransmissionSin(j), Parameter::TransmissionCos(j), Parameter::Compliance(j)]
+            }));
         parameters.push(Parameter::TimeOffset);
         let mut model = Model::new(perturbed(&nominal, &Free::Auto, manufacture(), &mut rng));
         model.rig.joint_corrections.time_offset_s = 0.01;
-        model.rig.joint_corrections.joints[1].gear_sin = 0.002;
+        model.rig.joint_corrections.joints[1].transmission_sin = 0.002;
         model.rig.joint_corrections.joints[2].compliance = 0.004;
         let step = 1e-6;
         for posture in 0..postures.len() {
@@ -261,7 +263,7 @@ mod tests {
                 Posture { state: PostureState::FlangePose(pose), ..posture }
             })
             .collect();
-        let motion = Motion::new(&nominal, &postures).unwrap();
+        let motion = CameraKinematics::new(&nominal, &postures).unwrap();
         assert_eq!((motion.error_components(), motion.has_joints()), (6, false));
         let model = Model::new(nominal);
         let step = 1e-6;
@@ -288,8 +290,8 @@ mod tests {
     fn postures_of_two_kinds_have_no_errors_of_their_own() {
         let nominal = hp3j();
         let mut postures = diverse_postures(&nominal, 3, &mut seeded(3));
-        assert_eq!(Motion::new(&nominal, &postures).unwrap().error_components(), 6);
+        assert_eq!(CameraKinematics::new(&nominal, &postures).unwrap().error_components(), 6);
         postures[1].state = PostureState::FlangePose(Isometry3::identity());
-        assert_eq!(Motion::new(&nominal, &postures).unwrap().error_components(), 0);
+        assert_eq!(CameraKinematics::new(&nominal, &postures).unwrap().error_components(), 0);
     }
 }

@@ -10,29 +10,29 @@ use skclam_geometry::DepthImage;
 
 impl View<'_> {
     /// Depths with everything removed that the filter or the masks reject; row-major, 0 = no value.
-    pub(crate) fn believed_depth(&self, filter: &DepthFilter) -> Vec<f32> {
+    pub(crate) fn valid_depth(&self, filter: &DepthFilter) -> Vec<f32> {
         // Only a colour mask asks where the pixels look.
         let rays = self.color_mask.map(|_| Rays::new(&self.depth_camera.camera));
-        self.believed(filter, rays.as_ref())
+        self.valid(filter, rays.as_ref())
     }
 
-    /// As [`View::believed_depth`], with the rays at hand.
-    pub(crate) fn believed_depth_along(&self, filter: &DepthFilter, rays: &Rays) -> Vec<f32> {
-        self.believed(filter, Some(rays))
+    /// As [`View::valid_depth`], with the rays at hand.
+    pub(crate) fn valid_depth_along(&self, filter: &DepthFilter, rays: &Rays) -> Vec<f32> {
+        self.valid(filter, Some(rays))
     }
 
-    fn believed(&self, filter: &DepthFilter, rays: Option<&Rays>) -> Vec<f32> {
+    fn valid(&self, filter: &DepthFilter, rays: Option<&Rays>) -> Vec<f32> {
         let width = self.depth.width().max(1) as usize;
-        let rows = BelievedRows::new(self, filter, rays, 1);
-        let mut believed = vec![0f32; self.depth.as_slice().len()];
-        let bands = believed.par_chunks_mut(width).enumerate();
+        let rows = ValidRows::new(self, filter, rays, 1);
+        let mut valid = vec![0f32; self.depth.as_slice().len()];
+        let bands = valid.par_chunks_mut(width).enumerate();
         bands.for_each_init(RowScratch::default, |scratch, (y, row)| rows.row(y, row, scratch));
-        believed
+        valid
     }
 }
 
-/// What is believed of a view, row by row.
-pub(crate) struct BelievedRows<'a> {
+/// What is valid of a view, row by row.
+pub(crate) struct ValidRows<'a> {
     view: &'a View<'a>,
     filter: &'a DepthFilter,
     /// Pixels of the view between two that are asked for, in both directions.
@@ -49,15 +49,15 @@ pub(crate) struct RowScratch {
     places: ColorPlaces,
 }
 
-impl<'a> BelievedRows<'a> {
+impl<'a> ValidRows<'a> {
     /// `rays` are those of the pixels that are asked for; only a colour mask needs them.
     pub(crate) fn new(view: &'a View<'a>, filter: &'a DepthFilter, rays: Option<&'a Rays>, thinning: usize) -> Self {
         let edges = (filter.edge_margin_px > 1).then(|| edge_pixels(view.depth, filter));
         let mask = view.color_mask.zip(rays).map(|(mask, rays)| (mask, rays, ColorLookup::new(view)));
-        BelievedRows { view, filter, thinning, edges, mask }
+        ValidRows { view, filter, thinning, edges, mask }
     }
 
-    /// Writes a row of believed depths, 0 where there is none.
+    /// Writes a row of valid depths, 0 where there is none.
     pub(crate) fn row(&self, y: usize, row: &mut [f32], scratch: &mut RowScratch) {
         let (width, height) = (self.view.depth.width() as usize, self.view.depth.height() as usize);
         let (raw, thinning) = (self.view.depth.as_slice(), self.thinning);
@@ -107,12 +107,12 @@ fn keep_range(raw: &[f32], (near, far): (f32, f32), thinning: usize, row: &mut [
 
 /// Which pixels of a row differ from one of four neighbours by more than the tolerance.
 #[multiversion(targets("x86_64+avx2"))]
-fn steps_in_row(rows: [&[f32]; 5], (share, floor, quadratic): (f32, f32, f32), marks: &mut [bool]) {
+fn steps_in_row(rows: [&[f32]; 5], (fraction, floor, quadratic): (f32, f32, f32), marks: &mut [bool]) {
     let length = marks.len();
     let [own, left, right, above, below] = rows.map(|row| &row[..length]);
     for x in 0..length {
         let here = own[x];
-        let tolerance = share * here + floor + quadratic * here * here;
+        let tolerance = fraction * here + floor + quadratic * here * here;
         let is_step = |other: f32| (other > 0.0) & ((other - here).abs() > tolerance);
         marks[x] = (here > 0.0) & (is_step(left[x]) | is_step(right[x]) | is_step(above[x]) | is_step(below[x]));
     }
@@ -144,7 +144,7 @@ fn mark_edges(depth: &[f32], width: usize, row: usize, filter: &DepthFilter, thi
             .then(|| (1.0 / before - 2.0 / middle + 1.0 / after).abs() * middle * middle)
     };
     let coefficients = filter.step_coefficients();
-    let (share, tolerance_floor, tolerance_quadratic) = coefficients;
+    let (fraction, tolerance_floor, tolerance_quadratic) = coefficients;
     let own = &depth[row * width..(row + 1) * width];
     // Rows beyond the border are taken to be this row: no step. The first and the last column are looked at closely.
     let above = if row > 0 { &depth[(row - 1) * width..row * width] } else { own };
@@ -162,7 +162,7 @@ fn mark_edges(depth: &[f32], width: usize, row: usize, filter: &DepthFilter, thi
         for (place, mark) in marks.iter_mut().enumerate().step_by(thinning).filter(|(_, mark)| **mark) {
             let column = group * GROUP + place;
             let here = own[column];
-            let tolerance = share * here + tolerance_floor + tolerance_quadratic * here * here;
+            let tolerance = fraction * here + tolerance_floor + tolerance_quadratic * here * here;
             let is_step = |other: f32| (other > 0.0) & ((other - here).abs() > tolerance);
             let (x, y) = (column as isize, row as isize);
             *mark = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().any(|(dx, dy)| {
@@ -197,19 +197,19 @@ mod tests {
     fn pixels_beside_a_step_are_dropped_and_a_steep_plane_is_kept() {
         let camera = plain_camera(40, 4);
         let step = DepthImage::new(40, 4, (0..160).map(|i| if i % 40 < 20 { 1.0 } else { 1.5 }).collect()).unwrap();
-        let believed = view(&step, &camera).believed_depth(&DepthFilter::default());
-        let kept: Vec<usize> = (0..40).filter(|&x| believed[40 + x] > 0.0).collect();
+        let valid = view(&step, &camera).valid_depth(&DepthFilter::default());
+        let kept: Vec<usize> = (0..40).filter(|&x| valid[40 + x] > 0.0).collect();
         assert_eq!(kept, (0..19).chain(21..40).collect::<Vec<_>>());
 
         let wide = DepthFilter { edge_margin_px: 3, ..Default::default() };
-        let kept = view(&step, &camera).believed_depth(&wide)[40..80].iter().filter(|&&z| z > 0.0).count();
+        let kept = view(&step, &camera).valid_depth(&wide)[40..80].iter().filter(|&&z| z > 0.0).count();
         assert_eq!(kept, 40 - 6);
 
         // 1/z falls from 2 to 0.4 over the image: neighbours differ by up to 10 %.
         let plane: Vec<f32> = (0..160).map(|i| 1.0 / (2.0 - 1.6 * (i % 40) as f32 / 39.0)).collect();
         let plane = DepthImage::new(40, 4, plane).unwrap();
-        let believed = view(&plane, &camera).believed_depth(&DepthFilter::default());
-        assert!(believed.iter().all(|&z| z > 0.0), "a plane has no edges");
+        let valid = view(&plane, &camera).valid_depth(&DepthFilter::default());
+        assert!(valid.iter().all(|&z| z > 0.0), "a plane has no edges");
     }
 
     #[test]
@@ -217,11 +217,11 @@ mod tests {
         let camera = plain_camera(4, 1);
         let depth = DepthImage::new(4, 1, vec![0.02, 0.5, 0.505, 9.0]).unwrap();
         let filter = DepthFilter { edge_margin_px: 0, ..Default::default() };
-        assert_eq!(view(&depth, &camera).believed_depth(&filter), vec![0.0, 0.5, 0.505, 0.0]);
+        assert_eq!(view(&depth, &camera).valid_depth(&filter), vec![0.0, 0.5, 0.505, 0.0]);
         let mask = GrayImage::from_raw(4, 1, vec![255, 0, 255, 255]).unwrap();
         let masked = View { depth_mask: Some(&mask), ..view(&depth, &camera) };
-        assert_eq!(masked.believed_depth(&filter), vec![0.0, 0.0, 0.505, 0.0]);
+        assert_eq!(masked.valid_depth(&filter), vec![0.0, 0.0, 0.505, 0.0]);
         let masked = View { color_mask: Some(&mask), ..view(&depth, &camera) };
-        assert_eq!(masked.believed_depth(&filter), vec![0.0, 0.0, 0.505, 0.0]);
+        assert_eq!(masked.valid_depth(&filter), vec![0.0, 0.0, 0.505, 0.0]);
     }
 }

@@ -6,14 +6,14 @@ use rand_chacha::rand_core::SeedableRng;
 
 /// A portable generator with the few distributions that the cell needs.
 #[derive(Debug, Clone)]
-pub(crate) struct Dice(ChaCha8Rng);
+pub(crate) struct SceneRng(ChaCha8Rng);
 
-impl Dice {
+impl SceneRng {
     /// The stream of a seed that belongs to one purpose: `stream` keeps scene, noise and postures independent.
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(stream);
-        Dice(generator)
+        SceneRng(generator)
     }
 
     /// Uniform in `[low, high)`.
@@ -59,12 +59,12 @@ mod tests {
 
     #[test]
     fn normal_draws_have_their_moments_and_streams_differ() {
-        let mut dice = Dice::new(3, 0);
-        let draws: Vec<f64> = (0..20_000).map(|_| dice.normal()).collect();
+        let mut rng = SceneRng::new(3, 0);
+        let draws: Vec<f64> = (0..20_000).map(|_| rng.normal()).collect();
         let mean = draws.iter().sum::<f64>() / draws.len() as f64;
         let variance = draws.iter().map(|x| x * x).sum::<f64>() / draws.len() as f64;
         assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
-        assert_ne!(Dice::new(3, 0).bits(), Dice::new(3, 1).bits());
-        assert_eq!(Dice::new(3, 1).bits(), Dice::new(3, 1).bits());
+        assert_ne!(SceneRng::new(3, 0).bits(), SceneRng::new(3, 1).bits());
+        assert_eq!(SceneRng::new(3, 1).bits(), SceneRng::new(3, 1).bits());
     }
 }

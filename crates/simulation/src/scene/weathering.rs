@@ -1,9 +1,9 @@
-//! Ground and wear that all coats share: noise of many scales, patches, specks, scratches, cracks.
+//! Ground and wear that all materials share: noise of many scales, patches, specks, scratches, cracks.
 
 use super::canvas::{Canvas, Colour};
 use super::lattice::add_octaves;
 use super::print::Patch;
-use crate::dice::Dice;
+use crate::scene_rng::SceneRng;
 use std::f32::consts::{PI, TAU};
 
 #[derive(Debug, Clone, Copy)]
@@ -16,8 +16,8 @@ pub(crate) struct Mottle {
 }
 
 /// Ground colour with noise of many scales in brightness, of coarse scales in hue, and sharp-edged patches.
-pub(crate) fn base(canvas: &mut Canvas, dice: &mut Dice, colour: Colour, mottle: Mottle) {
-    let (seed, hue_seed, patch_seed) = (dice.bits(), dice.bits(), dice.bits());
+pub(crate) fn base(canvas: &mut Canvas, rng: &mut SceneRng, colour: Colour, mottle: Mottle) {
+    let (seed, hue_seed, patch_seed) = (rng.bits(), rng.bits(), rng.bits());
     let count = canvas.width;
     let (mut light, mut hue, mut patch) = (vec![0.0; count], vec![0.0; count], vec![0.0; count]);
     canvas.fill_rows(|place, row| {
@@ -45,63 +45,69 @@ pub(crate) fn base(canvas: &mut Canvas, dice: &mut Dice, colour: Colour, mottle:
 }
 
 /// How many of something a surface of this area has; at least none, jittered.
-pub(crate) fn count(canvas: &Canvas, per_square_metre: f32, dice: &mut Dice) -> usize {
+pub(crate) fn count(canvas: &Canvas, per_square_metre: f32, rng: &mut SceneRng) -> usize {
     let (width, height) = canvas.size_m();
     let expected = per_square_metre * width * height;
-    (expected.floor() as usize) + usize::from(dice.chance(f64::from(expected.fract())))
+    (expected.floor() as usize) + usize::from(rng.chance(f64::from(expected.fract())))
 }
 
-pub(crate) fn anywhere(canvas: &Canvas, dice: &mut Dice) -> (f32, f32) {
+pub(crate) fn anywhere(canvas: &Canvas, rng: &mut SceneRng) -> (f32, f32) {
     let (width, height) = canvas.size_m();
-    (dice.range_f32(0.0, width), dice.range_f32(0.0, height))
+    (rng.range_f32(0.0, width), rng.range_f32(0.0, height))
 }
 
 /// A size with many small and few large ones: density falls with the square of the size.
-pub(crate) fn power_size(dice: &mut Dice, smallest: f32, largest: f32) -> f32 {
-    let u = dice.range_f32(0.0, 1.0);
+pub(crate) fn power_size(rng: &mut SceneRng, smallest: f32, largest: f32) -> f32 {
+    let u = rng.range_f32(0.0, 1.0);
     1.0 / (u / largest + (1.0 - u) / smallest)
 }
 
 /// Specks of dirt, chips, drops: ellipses of all sizes, lighter or darker by `contrast`.
-pub(crate) fn specks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, sizes_m: (f32, f32), contrast: f32) {
-    for _ in 0..count(canvas, per_square_metre, dice) {
-        let (at, radius) = (anywhere(canvas, dice), power_size(dice, sizes_m.0, sizes_m.1));
-        let strength = contrast * dice.range_f32(0.4, 1.0);
-        let colour = if dice.chance(0.65) { [30.0, 27.0, 24.0] } else { [226.0, 222.0, 214.0] };
-        let radii = (radius, radius * dice.range_f32(0.45, 1.0));
-        canvas.ellipse(at, radii, dice.range_f32(0.0, PI), colour, strength);
+pub(crate) fn specks(
+    canvas: &mut Canvas,
+    rng: &mut SceneRng,
+    per_square_metre: f32,
+    sizes_m: (f32, f32),
+    contrast: f32,
+) {
+    for _ in 0..count(canvas, per_square_metre, rng) {
+        let (at, radius) = (anywhere(canvas, rng), power_size(rng, sizes_m.0, sizes_m.1));
+        let strength = contrast * rng.range_f32(0.4, 1.0);
+        let colour = if rng.chance(0.65) { [30.0, 27.0, 24.0] } else { [226.0, 222.0, 214.0] };
+        let radii = (radius, radius * rng.range_f32(0.45, 1.0));
+        canvas.ellipse(at, radii, rng.range_f32(0.0, PI), colour, strength);
     }
 }
 
 /// Scratches: thin, mostly straight, in bundles.
-pub(crate) fn scratches(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32, opacity: f32) {
-    for _ in 0..count(canvas, per_square_metre, dice) {
-        let (mut at, mut direction) = (anywhere(canvas, dice), dice.range_f32(0.0, TAU));
-        let light = dice.chance(0.5);
+pub(crate) fn scratches(canvas: &mut Canvas, rng: &mut SceneRng, per_square_metre: f32, opacity: f32) {
+    for _ in 0..count(canvas, per_square_metre, rng) {
+        let (mut at, mut direction) = (anywhere(canvas, rng), rng.range_f32(0.0, TAU));
+        let light = rng.chance(0.5);
         let colour = if light { [222.0, 220.0, 214.0] } else { [42.0, 38.0, 36.0] };
-        let (width, step) = (dice.range_f32(0.0004, 0.0016), dice.range_f32(0.008, 0.035));
-        for _ in 0..1 + dice.below(4) {
-            direction += 0.25 * dice.normal() as f32;
+        let (width, step) = (rng.range_f32(0.0004, 0.0016), rng.range_f32(0.008, 0.035));
+        for _ in 0..1 + rng.below(4) {
+            direction += 0.25 * rng.normal() as f32;
             let next = (at.0 + step * direction.cos(), at.1 + step * direction.sin());
-            canvas.line(at, next, width, colour, opacity * dice.range_f32(0.5, 1.0));
+            canvas.line(at, next, width, colour, opacity * rng.range_f32(0.5, 1.0));
             at = next;
         }
     }
 }
 
 /// Cracks: long dark walks that branch.
-pub(crate) fn cracks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32) {
-    for _ in 0..count(canvas, per_square_metre, dice) {
-        let mut tips = vec![(anywhere(canvas, dice), dice.range_f32(0.0, TAU), 14 + dice.below(26))];
+pub(crate) fn cracks(canvas: &mut Canvas, rng: &mut SceneRng, per_square_metre: f32) {
+    for _ in 0..count(canvas, per_square_metre, rng) {
+        let mut tips = vec![(anywhere(canvas, rng), rng.range_f32(0.0, TAU), 14 + rng.below(26))];
         while let Some((mut at, mut direction, steps)) = tips.pop() {
             for step in 0..steps {
-                direction += 0.45 * dice.normal() as f32;
-                let length = dice.range_f32(0.008, 0.03);
+                direction += 0.45 * rng.normal() as f32;
+                let length = rng.range_f32(0.008, 0.03);
                 let next = (at.0 + length * direction.cos(), at.1 + length * direction.sin());
-                canvas.line(at, next, dice.range_f32(0.0006, 0.0018), [46.0, 42.0, 40.0], 0.75);
+                canvas.line(at, next, rng.range_f32(0.0006, 0.0018), [46.0, 42.0, 40.0], 0.75);
                 at = next;
-                if tips.len() < 6 && steps - step > 6 && dice.chance(0.06) {
-                    tips.push((at, direction + dice.range_f32(-1.2, 1.2), (steps - step) / 2));
+                if tips.len() < 6 && steps - step > 6 && rng.chance(0.06) {
+                    tips.push((at, direction + rng.range_f32(-1.2, 1.2), (steps - step) / 2));
                 }
             }
         }
@@ -109,8 +115,8 @@ pub(crate) fn cracks(canvas: &mut Canvas, dice: &mut Dice, per_square_metre: f32
 }
 
 /// What use leaves on everything: soft shading, specks, scratches.
-pub(crate) fn worn(canvas: &mut Canvas, dice: &mut Dice, amplitude: f32, scratches_per_square_metre: f32) {
+pub(crate) fn worn(canvas: &mut Canvas, rng: &mut SceneRng, amplitude: f32, scratches_per_square_metre: f32) {
     let bounds = Patch::whole(canvas).bounds();
-    canvas.mottle(bounds, dice.bits(), 0.3, amplitude, 0.72);
-    scratches(canvas, dice, scratches_per_square_metre, 0.5);
+    canvas.mottle(bounds, rng.bits(), 0.3, amplitude, 0.72);
+    scratches(canvas, rng, scratches_per_square_metre, 0.5);
 }

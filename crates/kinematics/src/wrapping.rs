@@ -18,7 +18,7 @@ pub(crate) fn wrapped(angle: f64) -> f64 {
 
 /// The joint value with whole turns added, every one that lies within the limits, upwards; without limits, one: in
 /// `(-pi, pi]`. A prismatic joint has no turns.
-pub(crate) fn admitted_turns(joint: &Joint, value: f64) -> impl Iterator<Item = f64> {
+pub(crate) fn admitted_revolutions(joint: &Joint, value: f64) -> impl Iterator<Item = f64> {
     let (first, count) = match (joint.kind, joint.limits) {
         (JointKind::Prismatic, _) => (value, usize::from(joint.admits(value))),
         (JointKind::Revolute, None) => (wrapped(value), 1),
@@ -110,7 +110,7 @@ mod tests {
                 prop_assert!(((got[0] - reference).abs() - best).abs() < 1e-9);
                 prop_assert!(((got[0] - value) / TAU).fract().abs().min(1.0 - ((got[0] - value) / TAU).fract().abs()) < 1e-9);
             }
-            prop_assert_eq!(admitted_turns(&arm.joints()[0], value).count(), candidates.len());
+            prop_assert_eq!(admitted_revolutions(&arm.joints()[0], value).count(), candidates.len());
         }
     }
 }

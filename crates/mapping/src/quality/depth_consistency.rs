@@ -15,8 +15,8 @@ use skclam_geometry::Point3;
 /// How pairs of depth images are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct GapOptions {
-    /// Which depth pixels are believed.
+pub struct DepthConsistencyOptions {
+    /// Which depth pixels are valid.
     pub filter: DepthFilter,
     /// Farther apart than this along the depth axis, metres, are two different surfaces.
     pub gate_m: f64,
@@ -24,19 +24,25 @@ pub struct GapOptions {
     pub stride: usize,
     /// Pairs with fewer points in common do not overlap.
     pub min_points: usize,
-    /// Of the points taken, every how many along each axis is told one by one in [`SurfaceGaps::samples`]; 0 for none.
+    /// Of the points taken, every how many along each axis is told one by one in [`DepthConsistency::samples`]; 0 for none.
     pub sample_every: usize,
 }
 
-impl Default for GapOptions {
+impl Default for DepthConsistencyOptions {
     fn default() -> Self {
-        GapOptions { filter: DepthFilter::default(), gate_m: 0.1, stride: 6, min_points: 200, sample_every: 0 }
+        DepthConsistencyOptions {
+            filter: DepthFilter::default(),
+            gate_m: 0.1,
+            stride: 6,
+            min_points: 200,
+            sample_every: 0,
+        }
     }
 }
 
 /// How far apart two views' surfaces are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct PairGap {
+pub struct PairConsistency {
     /// Index of the first view.
     pub first: usize,
     /// Index of the second view.
@@ -51,20 +57,20 @@ pub struct PairGap {
 
 /// All pairs that overlap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SurfaceGaps {
+pub struct DepthConsistency {
     /// By first, then second view.
-    pub pairs: Vec<PairGap>,
+    pub pairs: Vec<PairConsistency>,
     /// Median of all distances of all pairs, metres; none without pairs.
     pub median_m: Option<f64>,
     /// 90th percentile of all distances of all pairs, metres; none without pairs.
     pub p90_m: Option<f64>,
-    /// Points one by one, by view, then pixel; see [`GapOptions::sample_every`].
-    pub samples: Vec<GapSample>,
+    /// Points one by one, by view, then pixel; see [`DepthConsistencyOptions::sample_every`].
+    pub samples: Vec<PointToPlaneSample>,
 }
 
 /// One point of a view, and how far the others' surfaces are from it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct GapSample {
+pub struct PointToPlaneSample {
     /// Index of the view.
     pub view: usize,
     /// Place of the pixel in the depth image, row by row.
@@ -76,7 +82,7 @@ pub struct GapSample {
 }
 
 /// Compares all pairs of views. Memory: a few bytes a strided pixel of a view and of a pair.
-pub fn surface_gaps(views: &[View<'_>], options: &GapOptions) -> Result<SurfaceGaps, Error> {
+pub fn depth_consistency(views: &[View<'_>], options: &DepthConsistencyOptions) -> Result<DepthConsistency, Error> {
     options.filter.check()?;
     if !(options.gate_m.is_finite() && options.gate_m > 0.0) {
         let value = options.gate_m.to_string();
@@ -116,11 +122,11 @@ pub fn surface_gaps(views: &[View<'_>], options: &GapOptions) -> Result<SurfaceG
         }
         let (first, second) = (place / views.len(), place % views.len());
         let (Some(median_m), Some(p90_m)) = (quantile(list, 0.5), quantile(list, 0.9)) else { continue };
-        pairs.push(PairGap { first, second, points: list.len(), median_m, p90_m });
+        pairs.push(PairConsistency { first, second, points: list.len(), median_m, p90_m });
         all.extend_from_slice(list);
     }
     let samples = samples.finish(&taken);
-    Ok(SurfaceGaps { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9), samples })
+    Ok(DepthConsistency { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9), samples })
 }
 
 /// The points that are told one by one, and the distances found for them so far.
@@ -131,7 +137,7 @@ struct Samples {
 }
 
 impl Samples {
-    fn new(views: &[View<'_>], taken: &[Vec<(usize, Point3)>], options: &GapOptions) -> Self {
+    fn new(views: &[View<'_>], taken: &[Vec<(usize, Point3)>], options: &DepthConsistencyOptions) -> Self {
         let step = options.stride * options.sample_every;
         let on_grid = |view: &View<'_>, pixel: usize| {
             let width = view.depth_camera.camera.width as usize;
@@ -153,13 +159,18 @@ impl Samples {
         }
     }
 
-    fn finish(mut self, taken: &[Vec<(usize, Point3)>]) -> Vec<GapSample> {
+    fn finish(mut self, taken: &[Vec<(usize, Point3)>]) -> Vec<PointToPlaneSample> {
         let mut samples = Vec::new();
         for (view, places) in self.places.iter().enumerate() {
             for (&place, list) in places.iter().zip(&mut self.distances[view]) {
                 let (pixel, point) = taken[view][place];
                 let median_m = quantile(list, 0.5).map(|median_m| median_m as f32);
-                samples.push(GapSample { view, pixel, point_in_base: point.coords.cast::<f32>().into(), median_m });
+                samples.push(PointToPlaneSample {
+                    view,
+                    pixel,
+                    point_in_base: point.coords.cast::<f32>().into(),
+                    median_m,
+                });
             }
         }
         samples
@@ -174,9 +185,9 @@ fn rays_of<'a>(kept: &'a mut Option<Rays>, view: &View<'_>) -> &'a Rays {
     kept.get_or_insert_with(|| Rays::new(camera))
 }
 
-/// Pixels on the grid that are believed, and where the pose puts them.
-fn points_in_base(view: &View<'_>, rays: &Rays, options: &GapOptions) -> Vec<(usize, Point3)> {
-    let depth = view.believed_depth_along(&options.filter, rays);
+/// Pixels on the grid that are valid, and where the pose puts them.
+fn points_in_base(view: &View<'_>, rays: &Rays, options: &DepthConsistencyOptions) -> Vec<(usize, Point3)> {
+    let depth = view.valid_depth_along(&options.filter, rays);
     let width = rays.width();
     let base_from_depth = view.base_from_depth();
     (0..depth.len() / width.max(1))
@@ -196,8 +207,8 @@ struct Target<'a> {
 }
 
 impl<'a> Target<'a> {
-    fn new(view: &'a View<'a>, rays: &'a Rays, options: &GapOptions) -> Self {
-        let depth = view.believed_depth_along(&options.filter, rays);
+    fn new(view: &'a View<'a>, rays: &'a Rays, options: &DepthConsistencyOptions) -> Self {
+        let depth = view.valid_depth_along(&options.filter, rays);
         let window = NormalWindow::of_maps(1);
         let patches = surface_patches(&depth, rays, &options.filter, window);
         Target { view, patches, rays, gate_m: options.gate_m }
@@ -242,15 +253,15 @@ mod tests {
         // It moved 5 cm sideways, and says it came 7 mm nearer, which it did not.
         let second = View { base_from_color: Isometry3::translation(0.05, 0.0, 0.007), ..first };
         let away = View { base_from_color: Isometry3::translation(50.0, 0.0, 0.0), ..first };
-        let gaps = surface_gaps(&[first, second, away], &GapOptions::default()).unwrap();
+        let gaps = depth_consistency(&[first, second, away], &DepthConsistencyOptions::default()).unwrap();
         assert_eq!(gaps.pairs.len(), 1, "the third one sees another wall");
         let pair = gaps.pairs[0];
         assert_eq!((pair.first, pair.second), (0, 1));
         assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
         assert_eq!(gaps.median_m, Some(pair.median_m));
         assert!(gaps.samples.is_empty());
-        let told = GapOptions { sample_every: 2, ..Default::default() };
-        let samples = surface_gaps(&[first, second, away], &told).unwrap().samples;
+        let told = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
+        let samples = depth_consistency(&[first, second, away], &told).unwrap().samples;
         assert_eq!(samples.len(), 3 * 10 * 8, "every twelfth pixel along each axis");
         for sample in &samples {
             assert!(sample.median_m.is_none_or(|median_m| (median_m - 0.007).abs() < 1e-4), "{sample:?}");
@@ -265,12 +276,14 @@ mod tests {
         let camera = plain_camera(24, 18);
         let holes = wall(24, 18, 0.0);
         let views = [view(&holes, &camera); 2];
-        let gaps = surface_gaps(&views, &GapOptions::default()).unwrap();
+        let gaps = depth_consistency(&views, &DepthConsistencyOptions::default()).unwrap();
         assert_eq!((gaps.pairs.len(), gaps.median_m), (0, None));
-        assert!(surface_gaps(&views, &GapOptions { stride: 0, ..Default::default() }).is_err());
-        assert!(surface_gaps(&views, &GapOptions { gate_m: f64::NAN, ..Default::default() }).is_err());
+        assert!(depth_consistency(&views, &DepthConsistencyOptions { stride: 0, ..Default::default() }).is_err());
+        assert!(
+            depth_consistency(&views, &DepthConsistencyOptions { gate_m: f64::NAN, ..Default::default() }).is_err()
+        );
         let mut bad = views;
         bad[1].base_from_color.translation.x = f64::NAN;
-        assert!(surface_gaps(&bad, &GapOptions::default()).is_err());
+        assert!(depth_consistency(&bad, &DepthConsistencyOptions::default()).is_err());
     }
 }

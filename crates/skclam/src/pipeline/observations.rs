@@ -1,4 +1,4 @@
-//! From matches to what the estimators take: points followed over many images, each sighting with one refined position.
+//! From matches to what the estimators take: points followed over many images, each observation with one refined position.
 
 use super::{Config, ImageFeatures, MatchedPair, PlaneWarp, RunError};
 use crate::dataset::Dataset;
@@ -18,9 +18,9 @@ pub struct TrackSummary {
     pub links: TrackCounts,
     /// Tracks that were used; fewer than there are where there are more than enough.
     pub used: usize,
-    /// Sightings whose position was refined.
+    /// Observations whose position was refined.
     pub refined: usize,
-    /// Sightings that could not be aligned with their track's reference, and were dropped.
+    /// Observations that could not be aligned with their track's reference, and were dropped.
     pub rejected: usize,
 }
 
@@ -28,7 +28,7 @@ pub struct TrackSummary {
 const PYRAMID_BYTES: f64 = 1.2e9;
 /// Bytes a pixel of a prepared image.
 const PYRAMID_BYTES_A_PIXEL: f64 = 2.7;
-/// What is granted to the sighting that names its track's point, px: it is where it is by definition.
+/// What is granted to the observation that names its track's point, px: it is where it is by definition.
 const REFERENCE_SIGMA_PX: f64 = 0.02;
 /// Sigma of a position as detected, relative to the size of its keypoint; a keypoint of 8 px has half a pixel.
 const DETECTED_SIGMA: f64 = 0.0625;
@@ -61,11 +61,11 @@ pub fn correspondences(
             matches: &matched.matches,
         })
         .collect();
-    let tracks = thinned(build_tracks(&counts, &links, options)?, config.max_sightings);
+    let tracks = thinned(build_tracks(&counts, &links, options)?, config.max_observations);
     let mut summary = TrackSummary { links: tracks.counts, used: tracks.len(), ..TrackSummary::default() };
     let measured = measure(dataset, images, &tracks, &keypoints, config, progress, &mut summary)?;
 
-    // One measurement a keypoint, for the pairs; `None` where a sighting was dropped or belongs to no track.
+    // One measurement a keypoint, for the pairs; `None` where an observation was dropped or belongs to no track.
     let mut by_keypoint: Vec<Vec<Option<Measurement>>> = counts.iter().map(|&count| vec![None; count]).collect();
     for (observation, measurement) in tracks.observations.iter().zip(&measured) {
         by_keypoint[observation.image as usize][observation.keypoint as usize] = *measurement;
@@ -96,10 +96,10 @@ pub fn correspondences(
     Ok((data, Some(summary)))
 }
 
-/// Every k-th track, evenly over the recording, so that about `max_sightings` are left: the error falls only with the root
+/// Every k-th track, evenly over the recording, so that about `max_observations` are left: the error falls only with the root
 /// of their number, the time grows with it.
-fn thinned(tracks: Tracks, max_sightings: Option<usize>) -> Tracks {
-    let Some(limit) = max_sightings.filter(|&limit| tracks.observations.len() > limit) else { return tracks };
+fn thinned(tracks: Tracks, max_observations: Option<usize>) -> Tracks {
+    let Some(limit) = max_observations.filter(|&limit| tracks.observations.len() > limit) else { return tracks };
     let keep = limit as f64 / tracks.observations.len() as f64;
     let mut thin = Tracks { starts: vec![0], counts: tracks.counts, ..Tracks::default() };
     for (index, track) in tracks.iter().enumerate() {

@@ -1,28 +1,28 @@
 //! From images to correspondences: all that happens before an estimator runs.
 
 use super::{
-    BoardSummary, BoardUse, CameraFixedSummary, Config, Estimator, ImageFeatures, MatchedPair, RunError, TrackSummary,
-    board_alone, correspondences, drop_camera_fixed, extract_features, find_boards, match_pairs, pairs_to_match,
+    BoardSummary, BoardUse, Config, EgoMaskSummary, Estimator, ImageFeatures, MatchedPair, RunError, TrackSummary,
+    board_alone, correspondences, drop_ego_masked, extract_features, find_boards, match_pairs, pairs_to_match,
 };
 use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::summary::total_counts;
 use skclam_calibration::Correspondences;
-use skclam_features::CameraFixed;
+use skclam_features::EgoMask;
 
 /// What the images said.
-pub(super) struct Gathered {
+pub(super) struct FrontEnd {
     pub images: Vec<ImageFeatures>,
     pub pairs: Vec<MatchedPair>,
     pub data: Correspondences,
     pub tracks: Option<TrackSummary>,
     pub board: Option<BoardSummary>,
     pub told: Vec<String>,
-    pub camera_fixed: Option<(CameraFixed, CameraFixedSummary)>,
+    pub ego_mask: Option<(EgoMask, EgoMaskSummary)>,
 }
 
 /// Features, board, matches and tracks: section 3.2 and the rig's board. Fails where nothing is left.
-pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Gathered, RunError> {
+pub(super) fn front_end(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<FrontEnd, RunError> {
     let mut images = extract_features(dataset, config, progress)?;
     // The other estimators hear pairs alone.
     let boards = match config.estimator {
@@ -30,10 +30,10 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
         Estimator::NelderMead | Estimator::Sampson => None,
     };
     let chosen = pairs_to_match(&images, &dataset.rig.color, config);
-    let camera_fixed = match dataset.rig.color_mask {
+    let ego_mask = match dataset.rig.color_mask {
         // The user's word comes before what can be found.
         Some(_) => None,
-        None => drop_camera_fixed(&mut images, &chosen, &dataset.rig.color, config)?,
+        None => drop_ego_masked(&mut images, &chosen, &dataset.rig.color, config)?,
     };
     let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
     let (mut data, tracks) = correspondences(dataset, &images, &pairs, config, progress)?;
@@ -70,5 +70,5 @@ pub(super) fn gather(dataset: &Dataset, config: &Config, progress: &dyn Progress
             matches: 0,
         });
     }
-    Ok(Gathered { images, pairs, data, tracks, board, told, camera_fixed })
+    Ok(FrontEnd { images, pairs, data, tracks, board, told, ego_mask })
 }

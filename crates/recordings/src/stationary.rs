@@ -4,7 +4,7 @@ use crate::{JointTrack, SelectionOptions, Stamp};
 
 /// An interval in which no joint moved, nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Stand {
+pub struct StationaryInterval {
     /// First moment at rest.
     pub begin: Stamp,
     /// Last moment at rest.
@@ -14,26 +14,26 @@ pub struct Stand {
 /// Over what time a speed is measured: longer than the steps of an encoder read at 500 Hz matter.
 const SPEED_WINDOW: Stamp = 100_000_000;
 
-/// The intervals in which every joint was slower than `max_joint_speed` for at least `min_stand_s`, in order.
+/// The intervals in which every joint was slower than `max_joint_speed` for at least `min_stationary_s`, in order.
 ///
 /// A speed is the change over 0.1 s, or between the neighbouring samples where these are further apart. Where no sample
 /// came for longer than `max_gap_s` nobody knows what the arm did, and a stand ends; two stands at the same joint values
 /// with such a gap between are one.
-pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand> {
+pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions) -> Vec<StationaryInterval> {
     let times = track.times();
     let max_gap = nanoseconds(options.max_gap_s);
-    let mut stands: Vec<(Stand, usize, usize)> = Vec::new();
+    let mut intervals: Vec<(StationaryInterval, usize, usize)> = Vec::new();
     let mut open: Option<usize> = None;
     let mut close = |first: usize, last: usize| {
-        let stand = Stand { begin: times[first], end: times[last] };
-        if let Some((before, _, before_last)) = stands.last_mut() {
+        let interval = StationaryInterval { begin: times[first], end: times[last] };
+        if let Some((before, _, before_last)) = intervals.last_mut() {
             // Neighbouring samples: nothing but missing ones parts the two.
             if first == *before_last + 1 && track.largest_change(*before_last, first) <= SAME_POSTURE {
-                (before.end, *before_last) = (stand.end, last);
+                (before.end, *before_last) = (interval.end, last);
                 return;
             }
         }
-        stands.push((stand, first, last));
+        intervals.push((interval, first, last));
     };
     for index in 0..times.len() {
         let gap = index > 0 && times[index] - times[index - 1] > max_gap;
@@ -49,8 +49,9 @@ pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand>
     if let Some(first) = open {
         close(first, times.len() - 1);
     }
-    let long_enough = |stand: &Stand| stand.end - stand.begin >= nanoseconds(options.min_stand_s);
-    stands.into_iter().map(|(stand, ..)| stand).filter(long_enough).collect()
+    let long_enough =
+        |interval: &StationaryInterval| interval.end - interval.begin >= nanoseconds(options.min_stationary_s);
+    intervals.into_iter().map(|(interval, ..)| interval).filter(long_enough).collect()
 }
 
 /// Joint values that are the same posture for an encoder, radians or metres.
@@ -91,20 +92,23 @@ mod tests {
     fn track(from_ms: i64) -> JointTrack {
         let mut track = JointTrack::new(vec![true, true]);
         for step in from_ms / 10..300 {
-            let share = ((step - 100) as f64 / 100.0).clamp(0.0, 1.0);
-            track.push(step * 10_000_000, &[share, 1e-4 * (step % 2) as f64]);
+            let fraction = ((step - 100) as f64 / 100.0).clamp(0.0, 1.0);
+            track.push(step * 10_000_000, &[fraction, 1e-4 * (step % 2) as f64]);
         }
         track
     }
 
     #[test]
     fn stands_are_found_between_motions() {
-        let stands = find_stands(&track(0), &SelectionOptions::default());
-        assert_eq!(stands.len(), 2);
+        let intervals = find_stationary_intervals(&track(0), &SelectionOptions::default());
+        assert_eq!(intervals.len(), 2);
         let seconds = |stamp: Stamp| stamp as f64 * 1e-9;
-        assert!(seconds(stands[0].begin) == 0.0 && (seconds(stands[0].end) - 0.95).abs() < 0.02, "{stands:?}");
-        assert!((seconds(stands[1].begin) - 2.05).abs() < 0.02 && seconds(stands[1].end) == 2.99, "{stands:?}");
-        let short = find_stands(&track(700), &SelectionOptions::default());
+        assert!(seconds(intervals[0].begin) == 0.0 && (seconds(intervals[0].end) - 0.95).abs() < 0.02, "{intervals:?}");
+        assert!(
+            (seconds(intervals[1].begin) - 2.05).abs() < 0.02 && seconds(intervals[1].end) == 2.99,
+            "{intervals:?}"
+        );
+        let short = find_stationary_intervals(&track(700), &SelectionOptions::default());
         assert_eq!(short.len(), 1, "0.25 s are not a stand: {short:?}");
     }
 
@@ -117,12 +121,12 @@ mod tests {
         for step in 300..400 {
             parted.push(step * 10_000_000, &[0.0]);
         }
-        assert_eq!(find_stands(&parted, &SelectionOptions::default()).len(), 1);
+        assert_eq!(find_stationary_intervals(&parted, &SelectionOptions::default()).len(), 1);
         for step in 600..700 {
             parted.push(step * 10_000_000, &[0.5]);
         }
-        let stands = find_stands(&parted, &SelectionOptions::default());
-        assert_eq!(stands.len(), 2);
-        assert_eq!(stands[1].begin, 6_000_000_000);
+        let intervals = find_stationary_intervals(&parted, &SelectionOptions::default());
+        assert_eq!(intervals.len(), 2);
+        assert_eq!(intervals[1].begin, 6_000_000_000);
     }
 }

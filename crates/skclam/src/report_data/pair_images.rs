@@ -1,7 +1,7 @@
 //! The worst, the median and the best pair as small pictures, with some matches and their epipolar lines before and after.
 
 use super::residuals::PairEnds;
-use super::{Packed, PairResiduals, Picture, ResidualData, rounded};
+use super::{EmbeddedImage, Packed, PairResiduals, ResidualData, rounded};
 use crate::dataset::{Dataset, DatasetError};
 use crate::pipeline::RunError;
 use image::codecs::jpeg::JpegEncoder;
@@ -17,14 +17,14 @@ const QUALITY: u8 = 78;
 /// Matches that are drawn on a pair.
 const DRAWN: usize = 10;
 /// Pairs with fewer matches are not chosen: one wrong match would decide.
-const LEAST_MATCHES: usize = 8;
+const MIN_MATCHES: usize = 8;
 /// Straight pieces of a line; distorted lines are bent.
 const PIECES: usize = 24;
 
 /// A pair with matches drawn on it. Pixels of the small pictures: (0, 0) is the outer corner of the top-left pixel, so that a picture
 /// spans its width and height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PairPicture {
+pub struct PairImages {
     /// "worst", "median" or "best", by the median distance after the calibration.
     pub rank: String,
     /// Position of the first posture.
@@ -32,17 +32,17 @@ pub struct PairPicture {
     /// Position of the second posture.
     pub b: usize,
     /// The two images.
-    pub images: [Picture; 2],
+    pub images: [EmbeddedImage; 2],
     /// Matches, evenly over the list.
-    pub matches: Vec<PicturedMatch>,
+    pub matches: Vec<DrawnMatch>,
 }
 
 /// A match and its lines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PicturedMatch {
+pub struct DrawnMatch {
     /// Where the two images show it.
     pub points: [[f64; 2]; 2],
-    /// In each image, the line that the nominal rig gives its partner.
+    /// In each image, the line that the nominal rig gives its neighbor.
     pub lines_before: [Vec<[f64; 2]>; 2],
     /// The same by the calibrated rig.
     pub lines_after: [Vec<[f64; 2]>; 2],
@@ -53,17 +53,17 @@ pub struct PicturedMatch {
 }
 
 /// Draws them. None where no pair has enough matches; fewer than three where pairs are few.
-pub fn pair_pictures(
+pub fn pair_images(
     dataset: &Dataset,
     data: &Correspondences,
     calibrated: &Model,
     residuals: &ResidualData,
     per_match: &[PairEnds],
-) -> Result<Vec<PairPicture>, RunError> {
+) -> Result<Vec<PairImages>, RunError> {
     let nominal = Model::new(dataset.rig.clone());
     let poses = [camera_poses(&nominal, &data.postures)?, camera_poses(calibrated, &data.postures)?];
     let cameras = [&nominal.rig.color, &calibrated.rig.color];
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     for (rank, chosen) in ranked(&residuals.pairs) {
         let (a, b) = (chosen.a, chosen.b);
         let found = data.pairs.iter().zip(per_match).find(|(pair, _)| (pair.a, pair.b) == (a, b));
@@ -81,8 +81,8 @@ pub fn pair_pictures(
                 rounded(0.5 * (residual.in_a.norm() + residual.in_b.norm()), 3)
             };
             let lines = |which: usize| lines(&geometry[which], cameras[which], m, scale);
-            PicturedMatch {
-                points: [to_picture(&m.in_a, scale), to_picture(&m.in_b, scale)],
+            DrawnMatch {
+                points: [to_image(&m.in_a, scale), to_image(&m.in_b, scale)],
                 lines_before: lines(0),
                 lines_after: lines(1),
                 before_px: size(0),
@@ -91,14 +91,14 @@ pub fn pair_pictures(
         };
         let count = pair.matches.len().min(DRAWN);
         let matches = (0..count).map(|k| drawn((2 * k + 1) * pair.matches.len() / (2 * count))).collect();
-        pictures.push(PairPicture { rank: rank.to_owned(), a, b, images: [in_a, in_b], matches });
+        images.push(PairImages { rank: rank.to_owned(), a, b, images: [in_a, in_b], matches });
     }
-    Ok(pictures)
+    Ok(images)
 }
 
 /// Worst, median and best of the pairs that have enough matches, each pair once.
 fn ranked(pairs: &[PairResiduals]) -> Vec<(&'static str, PairResiduals)> {
-    let mut enough: Vec<PairResiduals> = pairs.iter().copied().filter(|pair| pair.matches >= LEAST_MATCHES).collect();
+    let mut enough: Vec<PairResiduals> = pairs.iter().copied().filter(|pair| pair.matches >= MIN_MATCHES).collect();
     enough.sort_by(|x, y| y.median_after_px.total_cmp(&x.median_after_px).then((x.a, x.b).cmp(&(y.a, y.b))));
     match enough[..] {
         [] => Vec::new(),
@@ -108,7 +108,7 @@ fn ranked(pairs: &[PairResiduals]) -> Vec<(&'static str, PairResiduals)> {
     }
 }
 
-fn small(dataset: &Dataset, posture: usize) -> Result<Picture, RunError> {
+fn small(dataset: &Dataset, posture: usize) -> Result<EmbeddedImage, RunError> {
     let image = dataset.color(posture)?;
     let (width, height) = image.dimensions();
     let factor = (f64::from(PICTURE_PX) / f64::from(width.max(height))).min(1.0);
@@ -119,10 +119,10 @@ fn small(dataset: &Dataset, posture: usize) -> Result<Picture, RunError> {
         path: dataset.folder.join(&dataset.records[posture].color),
         problem: error.to_string(),
     })?;
-    Ok(Picture { width: image.width(), height: image.height(), jpeg: Packed::of_u8(&jpeg) })
+    Ok(EmbeddedImage { width: image.width(), height: image.height(), jpeg: Packed::of_u8(&jpeg) })
 }
 
-fn to_picture(pixel: &Pixel, scale: f64) -> [f64; 2] {
+fn to_image(pixel: &Pixel, scale: f64) -> [f64; 2] {
     [rounded((pixel.x + 0.5) * scale, 1), rounded((pixel.y + 0.5) * scale, 1)]
 }
 
@@ -155,7 +155,7 @@ fn bent(line: &EpipolarLine, camera: &PinholeCamera, scale: f64) -> Vec<[f64; 2]
             && pixel.x < f64::from(camera.width) + margin
             && pixel.y < f64::from(camera.height) + margin;
         if inside || !camera.is_distorted() {
-            points.push(to_picture(&pixel, scale));
+            points.push(to_image(&pixel, scale));
         }
     }
     if camera.is_distorted() || points.len() < 2 {

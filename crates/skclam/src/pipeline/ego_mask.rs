@@ -4,18 +4,18 @@ use super::{Config, ImageFeatures, ImagePair, RunError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_features::mask::is_kept;
-use skclam_features::{CameraFixed, MaskOutcome, MatchedPair, find_camera_fixed, match_descriptors};
+use skclam_features::{EgoMask, MaskOutcome, MatchedPair, find_ego_mask, match_descriptors};
 use skclam_geometry::{PinholeCamera, Pixel};
 
 /// What was found, for the summary.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CameraFixedSummary {
+pub struct EgoMaskSummary {
     /// How the search ended.
     pub outcome: MaskOutcome,
     /// Pairs of images that were looked at.
     pub pairs: usize,
     /// Share of the image that moves with the camera.
-    pub masked_share: f64,
+    pub masked_fraction: f64,
     /// Keypoints that were left out.
     pub dropped_keypoints: usize,
 }
@@ -25,12 +25,12 @@ const PAIRS: usize = 24;
 
 /// Finds what moves with the camera and takes its keypoints out of `images`. `None` where it was not asked for, or where the
 /// rig brings a mask of its own.
-pub fn drop_camera_fixed(
+pub fn drop_ego_masked(
     images: &mut [ImageFeatures],
     pairs: &[ImagePair],
     camera: &PinholeCamera,
     config: &Config,
-) -> Result<Option<(CameraFixed, CameraFixedSummary)>, RunError> {
+) -> Result<Option<(EgoMask, EgoMaskSummary)>, RunError> {
     let Some(options) = &config.mask else { return Ok(None) };
     let chosen: Vec<&ImagePair> = pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).collect();
     let positions: Vec<Vec<Pixel>> = images
@@ -54,17 +54,17 @@ pub fn drop_camera_fixed(
             matches: &matching.matches,
         })
         .collect();
-    let found = find_camera_fixed(camera.width, camera.height, &votes, options)?;
+    let found = find_ego_mask(camera.width, camera.height, &votes, options)?;
     let mut dropped_keypoints = 0;
     if found.outcome == MaskOutcome::Found {
         for image in images {
             dropped_keypoints += image.retain(|pixel| is_kept(&found.mask, pixel.x as f32, pixel.y as f32));
         }
     }
-    let summary = CameraFixedSummary {
+    let summary = EgoMaskSummary {
         outcome: found.outcome,
         pairs: found.pairs,
-        masked_share: if found.outcome == MaskOutcome::Found { found.masked_share } else { 0.0 },
+        masked_fraction: if found.outcome == MaskOutcome::Found { found.masked_fraction } else { 0.0 },
         dropped_keypoints,
     };
     Ok(Some((found, summary)))
