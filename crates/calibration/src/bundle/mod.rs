@@ -6,6 +6,7 @@
 
 mod adjust;
 mod causes;
+mod correlation;
 mod expected;
 mod noise;
 mod observations;

@@ -16,6 +16,10 @@ pub(crate) struct Observation {
     pub pixel: Pixel,
     /// Inverse of the pixel's covariance (relative units): xx, xy, yy.
     pub information: [f64; 3],
+    /// How much the pixel counts beside one whose error is its own: see the module `correlation`.
+    pub pixel_weight: f64,
+    /// The same of the depth.
+    pub depth_weight: f64,
 }
 
 impl Observation {
@@ -74,6 +78,8 @@ impl Observations {
                     depth_slope: observation.depth_slope,
                     pixel: observation.pixel,
                     information: information(&observation.covariance),
+                    pixel_weight: 1.0,
+                    depth_weight: 1.0,
                 });
             }
             if flat.observations.len() - from < 2 {
@@ -103,6 +109,8 @@ impl Observations {
                     depth_slope: [0.0; 2],
                     pixel,
                     information: [weight, 0.0, weight],
+                    pixel_weight: 1.0,
+                    depth_weight: 1.0,
                 };
                 flat.corners.push(CornerObservation { observation, point_in_board });
                 match corner_tracks.binary_search_by_key(&(row, column), |(key, _)| *key) {
@@ -176,6 +184,8 @@ mod tests {
             depth_slope: [0.0; 2],
             pixel: Pixel::origin(),
             information: information(&covariance),
+            pixel_weight: 1.0,
+            depth_weight: 1.0,
         };
         assert!((observation.size(&v) - expected).abs() < 1e-12);
     }

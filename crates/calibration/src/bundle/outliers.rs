@@ -33,6 +33,35 @@ pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec
     fits
 }
 
+/// Tracks with fewer depths do not show by their mean that these are wrong.
+const DEPTHS_OF_A_MEAN: usize = 3;
+/// The mean depth residual of a track is taken for a bias beyond so many of its sigmas.
+const BIASED_TRACK_SIGMAS: f64 = 2.0;
+
+/// Removes the depths of tracks in which they are off together. A feature on the edge of something near, or on a ridge, is seen by the
+/// colour camera where the surface is nearest, while the window of the depth image reaches over the edge: its depths are too large in
+/// every image, by less than the noise of one of them. Left in, they stretch the world by a few hundredths of a percent; only the mean over a
+/// track shows them. The sigma of such means is taken from their own median, so that a depth camera whose errors are all alike keeps its depths.
+pub(crate) fn remove_biased_depths(observations: &mut Observations, sizes: &[ResidualSize]) {
+    let mean_of = |track: usize| {
+        let depths = sizes[observations.offsets[track]..observations.offsets[track + 1]].iter().filter_map(|s| s.depth);
+        let (mut sum, mut dof, mut count) = (0.0, 0.0, 0);
+        for (size, own_dof) in depths.filter(|(size, _)| size.abs() < OUTLIER_SIGMAS) {
+            (sum, dof, count) = (sum + size, dof + own_dof, count + 1);
+        }
+        // What the track's own point takes up is not seen in its residuals.
+        (count >= DEPTHS_OF_A_MEAN && dof > 0.5 * f64::from(count as u32)).then(|| sum / dof.sqrt())
+    };
+    let means: Vec<Option<f64>> = (0..observations.track_count()).map(mean_of).collect();
+    let sigma = median(&mut means.iter().flatten().map(|mean| mean.abs()).collect::<Vec<_>>()) / 0.6745;
+    for (track, _) in
+        means.iter().enumerate().filter(|(_, mean)| mean.is_some_and(|x| x.abs() > BIASED_TRACK_SIGMAS * sigma))
+    {
+        let (from, to) = (observations.offsets[track], observations.offsets[track + 1]);
+        observations.observations[from..to].iter_mut().for_each(|observation| observation.depth_m = 0.0);
+    }
+}
+
 /// Postures that fit far worse than the others; never more than a fifth of them.
 pub(crate) fn outlier_postures(fits: &[PostureFit]) -> Vec<usize> {
     let seen: Vec<(usize, &PostureFit)> =

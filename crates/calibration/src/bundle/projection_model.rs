@@ -108,11 +108,13 @@ impl ProjectionModel<'_> {
     pub(crate) fn cost_of(&self, observation: &Observation, point: &Point3) -> f64 {
         let in_camera = self.frame(observation).in_camera(point);
         let loss = self.scales.loss;
-        let Some(pixel) = self.camera.project(&in_camera) else { return 2.0 * loss.rho(BEHIND) };
+        let Some(pixel) = self.camera.project(&in_camera) else {
+            return 2.0 * observation.pixel_weight * loss.rho(BEHIND);
+        };
         let u = observation.size(&(observation.pixel - pixel)) / self.scales.pixel;
         let depth =
             if observation.depth_m > 0.0 { loss.rho(self.depth_residual(observation, &in_camera).0) } else { 0.0 };
-        loss.rho(u) + depth
+        observation.pixel_weight * loss.rho(u) + observation.depth_weight * depth
     }
 
     /// How much farther the sensor saw a point than it should have at `z`, in sigmas, and by how much that falls a metre of z.
@@ -153,7 +155,7 @@ impl ProjectionModel<'_> {
         let (mut depth_weight, mut rhs_depth) = (0.0, 0.0);
         if observation.depth_m > 0.0 {
             let (residual, slope) = self.depth_residual(observation, &in_camera);
-            let weight = self.scales.loss.weight(residual);
+            let weight = self.scales.loss.weight(residual) * observation.depth_weight;
             (depth_weight, rhs_depth) = (weight * slope * slope, weight * residual * slope);
         }
         let z = frame.camera_from_base.row(2);
@@ -171,7 +173,7 @@ impl ProjectionModel<'_> {
     fn pixel_information(&self, observation: &Observation, residual: &Vector2<f64>) -> [f64; 3] {
         let inverse_variance = 1.0 / (self.scales.pixel * self.scales.pixel);
         let size = observation.size(residual) / self.scales.pixel;
-        let weight = self.scales.loss.weight(size) * inverse_variance;
+        let weight = self.scales.loss.weight(size) * observation.pixel_weight * inverse_variance;
         observation.information.map(|x| x * weight)
     }
 
@@ -200,7 +202,7 @@ impl ProjectionModel<'_> {
         }
         if observation.depth_m > 0.0 {
             let (residual, slope) = self.depth_residual(observation, &in_camera);
-            let weight = self.scales.loss.weight(residual);
+            let weight = self.scales.loss.weight(residual) * observation.depth_weight;
             // The residual grows with the shared numbers where it falls with z.
             let by_offset = -slope;
             let by_scale = -slope * self.depth_before_scale(observation, &in_camera) / self.depth.scale;

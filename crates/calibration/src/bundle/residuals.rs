@@ -53,11 +53,13 @@ fn residual_size(
     let pixel_spread = by_base * covariance * by_base.transpose();
     let [xx, xy, yy] = observation.information;
     let traced = xx * pixel_spread[(0, 0)] + 2.0 * xy * pixel_spread[(0, 1)] + yy * pixel_spread[(1, 1)];
-    let leverage = traced * view.scales.loss.weight(size) / (view.scales.pixel * view.scales.pixel);
+    let weight = view.scales.loss.weight(size) * observation.pixel_weight;
+    let leverage = traced * weight / (view.scales.pixel * view.scales.pixel);
     let depth = (observation.depth_m > 0.0).then(|| {
         let (u, slope) = view.depth_residual(observation, &in_camera);
         let along = frame.camera_from_base.row(2).transpose();
-        let leverage = view.scales.loss.weight(u) * along.dot(&(covariance * along)) * slope * slope;
+        let weight = view.scales.loss.weight(u) * observation.depth_weight;
+        let leverage = weight * along.dot(&(covariance * along)) * slope * slope;
         (u, (1.0 - leverage).clamp(0.0, 1.0))
     });
     ResidualSize { posture, residual_px: difference, pixel: size, pixel_dof: (2.0 - leverage).clamp(0.0, 2.0), depth }

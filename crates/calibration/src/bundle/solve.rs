@@ -2,9 +2,10 @@
 
 use crate::bundle::adjust::{Adjustment, marginal_equations, posed_state};
 use crate::bundle::causes::error_patterns;
+use crate::bundle::correlation::weigh_by_correlation;
 use crate::bundle::noise::{self, LossCorrection, OUTLIER_SIGMAS, posture_fits, rescaled};
 use crate::bundle::observations::Observations;
-use crate::bundle::outliers::{judged, outlier_postures};
+use crate::bundle::outliers::{judged, outlier_postures, remove_biased_depths};
 use crate::bundle::posterior::{Likelihood, PosteriorInputs, RulerPosterior};
 use crate::bundle::random_effects::{PostureErrorModel, likeliest_groups};
 use crate::bundle::residuals::ResidualSize;
@@ -257,9 +258,14 @@ impl BundleAdjuster<'_> {
         Ok(Screened { adjusted: self.again(&sample, everything)?, excluded })
     }
 
-    /// The same from where an adjustment ended, on other observations.
-    fn again(&self, from: &Adjusted, observations: Observations) -> Result<Adjusted, CalibrationError> {
+    /// The same from where an adjustment ended, on other observations, without the depths that are biased there.
+    fn again(&self, from: &Adjusted, mut observations: Observations) -> Result<Adjusted, CalibrationError> {
         let errors = from.state.posture_errors.clone();
+        let Evaluated { sizes, observations: found, .. } =
+            self.evaluate(&from.state.model, &errors, &observations, from.noise, None)?;
+        observations = found;
+        remove_biased_depths(&mut observations, &sizes);
+        weigh_by_correlation(&mut observations, &sizes, f64::from(self.nominal.color.width));
         let mut next = self.adjust(&from.state.model, errors, from.noise, from.priors.clone(), observations, false)?;
         next.termination.add_effort(&from.termination);
         Ok(next)

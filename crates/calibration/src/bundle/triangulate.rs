@@ -69,7 +69,8 @@ impl ProjectionModel<'_> {
 
     fn fits(&self, track: &[Observation], point: &Point3) -> bool {
         let most = self.scales.loss.rho(FITS_SIGMAS);
-        track.iter().all(|observation| self.cost_of(observation, point) <= most)
+        let alone = |observation: &Observation| Observation { pixel_weight: 1.0, depth_weight: 1.0, ..*observation };
+        track.iter().all(|observation| self.cost_of(&alone(observation), point) <= most)
     }
 
     /// Damped Gauss-Newton on one point, cameras fixed; its cost and the point.
