@@ -9,7 +9,7 @@ use skclam::calibration::Free;
 use skclam::dataset::{Dataset, SelfFilter, SelfFilterOptions};
 use skclam::inspection::likely_cause;
 use skclam::output::Contents;
-use skclam::pipeline::{self, BoardSummary, Config, MapCoverage, RunError, Status};
+use skclam::pipeline::{self, BoardSummary, Check, CheckResult, Config, MapCoverage, RunError, Status};
 use skclam::rig::Rig;
 use skclam::summary::{StageSeconds, Summary};
 
@@ -125,7 +125,9 @@ fn config(args: &RunArgs, rig: &Rig) -> Result<Config> {
 pub fn show(summary: &Summary) {
     let calibration = &summary.calibration;
     say!("{}", summary.verdict);
-    for check in summary.checks.iter().filter(|check| check.status != Status::Good) {
+    // The verdict is a check too, and has been printed.
+    let shown = |check: &&CheckResult| check.status != Status::Good && !matches!(check.check, Check::Verdict { .. });
+    for check in summary.checks.iter().filter(shown) {
         say!("  check: {}", check.text);
     }
     say!();

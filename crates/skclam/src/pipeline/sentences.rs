@@ -154,7 +154,7 @@ pub fn cause_text(cause: &Cause) -> String {
             }
         }
         Cause::DepthNoise { depth_sigma_per_m2, tolerance_per_m } => format!(
-            "depth readings scatter by {} mm at 1 m, where {} mm is much: do depth images and colour images belong together (same posture, color_from_depth)?",
+            "depth readings scatter by {} mm at 1 m, where {} mm is much; look whether depth images and colour images belong together (same posture, color_from_depth)",
             plain(depth_sigma_per_m2 * 1e3),
             plain(tolerance_per_m * 1e3)
         ),
