@@ -120,7 +120,7 @@ def check_switches(page):
     for at in range(1, len(pictures)):
         expect(differing(pictures[at - 1], pictures[at]), f"the 3D view did not change at step {at}")
     said = page.locator("#scene-said").inner_text()
-    expect("nominal" in said, f"the state is not told: {said!r}")
+    expect("nominal" in said, f"the state is not shown: {said!r}")
     page.keyboard.press("0")
     return colours, len(pictures)
 

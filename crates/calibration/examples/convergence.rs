@@ -41,7 +41,7 @@ fn far_starts(starts: usize) {
         mount_length: 0.05 / 3f64.sqrt(),
         fixed_size: true,
     };
-    tell("3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment", starts, |seed| {
+    report("3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment", starts, |seed| {
         let mut rng = seeded(10_000 + seed);
         let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
         let postures = diverse_postures(&hp3j(), 40, &mut rng);
@@ -64,7 +64,7 @@ fn far_starts(starts: usize) {
 
 /// Nothing known of the mount.
 fn unknown_mounts(starts: usize) {
-    tell("no idea of the mount, an arm of 0.3 deg and 0.5 mm: find_mount, then bundle adjustment", starts, |seed| {
+    report("no idea of the mount, an arm of 0.3 deg and 0.5 mm: find_mount, then bundle adjustment", starts, |seed| {
         let mut rng = seeded(20_000 + seed);
         let mut truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         let turn =
@@ -91,7 +91,7 @@ fn rng_fraction(rng: &mut rand_chacha::ChaCha8Rng) -> f64 {
     rng.random::<f64>()
 }
 
-fn tell(name: &str, starts: usize, run: impl Fn(u64) -> Option<f64> + Sync) {
+fn report(name: &str, starts: usize, run: impl Fn(u64) -> Option<f64> + Sync) {
     let mut errors: Vec<(u64, Option<f64>)> =
         (0..starts as u64).into_par_iter().map(|seed| (seed, run(seed))).collect();
     let found = errors.iter().filter(|(_, error)| error.is_some_and(|error| error < FOUND)).count();

@@ -90,7 +90,7 @@ fn main() {
             report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::Estimated), runs);
         }
         if part("known") {
-            let name = "the same with the sigma of the joint errors told";
+            let name = "the same with the sigma of the joint errors given";
             report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::SigmaDeg(ENCODER_DEG)), runs);
         }
     }
@@ -189,7 +189,7 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
     let nominal = hp3j();
     let mut data = scene.exact.clone();
     if scene.sensing.encoder > 0.0 {
-        // The arm stands where the postures say; the encoders tell something else.
+        // The arm is where the postures say; the encoders report something else.
         for posture in &mut data.postures {
             if let PostureState::Joints(values) = &mut posture.state {
                 values.iter_mut().for_each(|value| *value += scene.sensing.encoder * normal(&mut rng));
@@ -322,6 +322,6 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
     }
     let scale = DVector::from_fn(total, |k, _| 1.0 / information[(k, k)].sqrt());
     let unit = DMatrix::from_fn(total, total, |i, j| information[(i, j)] * scale[i] * scale[j]);
-    let inverse = unit.cholesky().expect("what the data can tell").inverse();
+    let inverse = unit.cholesky().expect("a normal matrix of full rank").inverse();
     (0..count).map(|k| inverse[(k, k)].sqrt() * scale[k]).collect()
 }

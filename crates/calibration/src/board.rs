@@ -40,7 +40,7 @@ pub(crate) fn point_in_board(board: &Board, column: u32, row: u32) -> Point3 {
     Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m
 }
 
-/// Where the camera stands to a board that one image shows: from the homography of the plane (Zhang, "A flexible new technique for camera calibration",
+/// The pose of the camera relative to a board that one image shows: from the homography of the plane (Zhang, "A flexible new technique for camera calibration",
 /// 2000, appendix A), refined. `None` with fewer than four corners, or where they lie on a line.
 pub fn color_from_board(camera: &PinholeCamera, board: &Board, corners: &[(u32, u32, Pixel)]) -> Option<Isometry3> {
     // In squares about the middle, and in undistorted normalised coordinates, the equations are well scaled.

@@ -1,4 +1,4 @@
-//! Match by match, how far a pixel stands from the epipolar line of its neighbor, as a vector: what a plot of systematic
+//! Match by match, how far a pixel is from the epipolar line of its partner, as a vector: what a plot of systematic
 //! patterns needs and what the metrics of [`epipolar_statistics`](crate::epipolar_statistics) are made of.
 
 use crate::camera_kinematics::CameraKinematics;
@@ -18,7 +18,7 @@ pub struct EpipolarResidual {
 }
 
 /// Residuals of all matches under a model, pair by pair in the order of [`Correspondences::pairs`], match by match. A pair whose
-/// cameras stand at one place has no epipolar geometry and gives `None`.
+/// cameras are at one place has no epipolar geometry and gives `None`.
 pub fn epipolar_residuals(
     model: &Model,
     data: &Correspondences,

@@ -1,4 +1,4 @@
-//! Which parameters are free: the user's word, and the ordered list that it stands for.
+//! Which parameters are free: the user's word, and the ordered list that it means.
 
 use crate::{CalibrationError, Intrinsic, MountComponent, Parameter};
 use serde::{Deserialize, Serialize};
@@ -89,7 +89,7 @@ impl Free {
         }
     }
 
-    /// The ordered list of parameters that the selection stands for before the data are heard: arm (base to flange), mount,
+    /// The ordered list of parameters that the selection means before the data are used: arm (base to flange), mount,
     /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base end (what
     /// moves the whole world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
     /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. What cameras and board are off is free
@@ -197,7 +197,7 @@ fn angles(rig: &Rig) -> Vec<Parameter> {
         .collect()
 }
 
-/// What relative camera motion cannot tell whatever the postures: motions before the first joint's axis or along it move the world
+/// What relative camera motion cannot determine whatever the postures: motions before the first joint's axis or along it move the world
 /// as a whole, motions after the last joint's axis or along it are the mount's.
 pub(crate) fn gauge(rig: &Rig) -> Vec<Parameter> {
     let Some(robot) = &rig.robot else { return Vec::new() };

@@ -43,7 +43,7 @@ pub(crate) struct Minimization<S> {
 const FIRST_DAMPING: f64 = 1e-4;
 const SMALLEST_DAMPING: f64 = 1e-9;
 /// A diagonal entry below this fraction of the greatest (in units of the parameters' scales) is rounding.
-const UNSEEN: f64 = 1e-14;
+const UNOBSERVABLE: f64 = 1e-14;
 const GREATEST_DAMPING: f64 = 1e10;
 /// Equations that cannot be solved with this damping have no solution.
 const SINGULAR_DAMPING: f64 = 1.0;
@@ -69,7 +69,7 @@ pub(crate) fn descend<S>(
                 damping = (damping * 10.0).max(1e-6);
                 continue;
             }
-            // Nothing leads on from here: what was reached stands, and does not count as converged.
+            // No step improves the cost: what was reached is kept, and does not count as converged.
             Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoDescent { damping },
             other => other?,
         };
@@ -128,7 +128,7 @@ pub(crate) fn damped_solve(
     // Jacobi scaling: the factorisation then sees a unit diagonal whatever the units.
     let scale = DVector::from_fn(count, |k, _| {
         let diagonal = information[(k, k)];
-        if diagonal * unit(k) > UNSEEN * greatest { 1.0 / diagonal.sqrt() } else { 0.0 }
+        if diagonal * unit(k) > UNOBSERVABLE * greatest { 1.0 / diagonal.sqrt() } else { 0.0 }
     });
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let value = information[(i, j)] * scale[i] * scale[j];

@@ -185,10 +185,10 @@ mod tests {
         let found = calibrate_bundle(&hp3j(), &data, &BundleOptions { free, ..Default::default() }).unwrap();
         let rig = found.model.corrected_rig();
         let error = |rig: &Rig, posture: &skclam_rig::Posture| {
-            let [is, told] = [&truth, rig].map(|rig| rig.base_from_color(posture).unwrap());
+            let [is, nominal] = [&truth, rig].map(|rig| rig.base_from_color(posture).unwrap());
             // The base's turn about joint 1 is free: heights and radii are compared.
-            let [is, told] = [is, told].map(|pose| pose.translation.vector);
-            (is.z - told.z).hypot(is.xy().norm() - told.xy().norm())
+            let [is, nominal] = [is, nominal].map(|pose| pose.translation.vector);
+            (is.z - nominal.z).hypot(is.xy().norm() - nominal.xy().norm())
         };
         for (posture, pose) in postures.iter().zip(camera_poses(&found.model, &postures).unwrap()) {
             assert!((rig.base_from_color(posture).unwrap().to_homogeneous() - pose.to_homogeneous()).norm() < 1e-6);

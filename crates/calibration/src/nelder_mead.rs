@@ -100,7 +100,7 @@ impl CostFunction for Problem<'_> {
     }
 }
 
-/// Minimises Eq. (7) over the free parameters of arm and mount. It has no covariance and hears no priors.
+/// Minimises Eq. (7) over the free parameters of arm and mount. It has no covariance and uses no priors.
 pub fn calibrate_nelder_mead(
     nominal: &Rig,
     data: &Correspondences,

@@ -39,7 +39,7 @@ pub enum Search {
 pub struct PairwiseOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// The loss of the last rounds; its constant in sigmas.
     pub loss: Loss,
@@ -263,8 +263,8 @@ pub fn calibrate_pairwise_from(
         touched[pair.a] = true;
         touched[pair.b] = true;
     });
-    let unseen = data.postures.iter().enumerate().filter(|(posture, _)| !touched[*posture]);
-    warnings.extend(unseen.map(|(posture, p)| Warning::UnobservedPosture { posture, index: p.index }));
+    let unobserved = data.postures.iter().enumerate().filter(|(posture, _)| !touched[*posture]);
+    warnings.extend(unobserved.map(|(posture, p)| Warning::UnobservedPosture { posture, index: p.index }));
     let matches: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
     let need = (2 * parameters.len()).max(8);
     if matches < need {
@@ -364,7 +364,7 @@ pub fn calibrate_pairwise_from(
     })
 }
 
-/// The selection without what Sampson distances cannot hear of: depth.
+/// The selection without what Sampson distances do not use: depth.
 fn free_parameters(free: &Free, nominal: &Rig, motion: &CameraKinematics) -> Result<Vec<Parameter>, CalibrationError> {
     let mut parameters = free.candidates(nominal, motion.has_joints(), false)?;
     let blind = |p: &Parameter| !p.moves_camera() && !matches!(p, Parameter::Intrinsic(_));
@@ -470,10 +470,10 @@ mod tests {
             identifiability.singular_values
         );
         let causes = |cause| identifiability.unobservable.iter().filter(|direction| direction.cause == cause).count();
-        let told: Vec<_> = identifiability.unobservable.iter().map(|direction| &direction.reason).collect();
-        assert_eq!(causes(UnobservableCause::BaseGauge), 4, "{told:#?}");
-        assert_eq!(causes(UnobservableCause::ToolGauge), 2, "{told:#?}");
-        assert_eq!(causes(UnobservableCause::Scale), 1, "{told:#?}");
+        let reasons: Vec<_> = identifiability.unobservable.iter().map(|direction| &direction.reason).collect();
+        assert_eq!(causes(UnobservableCause::BaseGauge), 4, "{reasons:#?}");
+        assert_eq!(causes(UnobservableCause::ToolGauge), 2, "{reasons:#?}");
+        assert_eq!(causes(UnobservableCause::Scale), 1, "{reasons:#?}");
         let theta_6 = result.parameters.iter().find(|e| e.parameter.to_string() == "theta_offset_6").unwrap();
         assert_eq!(theta_6.sigma, None);
         assert!(theta_6.note.as_ref().unwrap().contains("mount"), "{theta_6:?}");

@@ -30,7 +30,7 @@ pub(crate) struct PairwiseSystem<'a> {
     /// Pair and range of its matches, in order.
     chunks: Vec<Chunk>,
     intrinsics_free: bool,
-    /// Directions under the camera that was there first; they stand for all models while intrinsics are not free.
+    /// Directions under the camera that was there first; they hold for all models while intrinsics are not free.
     bearings: std::sync::OnceLock<Vec<Bearings>>,
 }
 

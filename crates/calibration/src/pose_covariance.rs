@@ -1,7 +1,7 @@
 //! What the covariance of the parameters says of the flange's and the camera's pose: `J C J^T`, posture by posture.
 //!
 //! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a pose in the base
-//! frame that the calibrated arm defines. What a joint stands off its encoder is not in them: it differs from posture to posture.
+//! frame that the calibrated arm defines. What a joint is off its encoder is not in them: it differs from posture to posture.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::{Calibration, CalibrationError, Model, Parameter};
@@ -206,7 +206,7 @@ mod tests {
         let data = record(&truth, &postures, &box_points(500, &mut rng), half_pixel(), &mut rng);
         let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let calibration = calibrate_bundle(&hp3j(), &data, &options).unwrap();
-        let told = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
+        let claimed = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
 
         let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
         let root = calibration.covariance.clone().unwrap().cholesky().expect("auto leaves no gauge").l();
@@ -216,7 +216,7 @@ mod tests {
                 calibration.model.stepped(&parameters, delta.as_slice()).unwrap().rig
             })
             .collect();
-        for (posture, told) in postures[..2].iter().zip(&told) {
+        for (posture, claimed) in postures[..2].iter().zip(&claimed) {
             let scatter = |pose: &dyn Fn(&Rig) -> Isometry3| {
                 let center = pose(&calibration.model.rig);
                 let squares = rigs.iter().map(|rig| {
@@ -229,12 +229,12 @@ mod tests {
             let camera = scatter(&|rig| rig.base_from_color(posture).unwrap());
             let flange = scatter(&|rig| rig.base_from_flange(posture).unwrap());
             for (found, expected) in [
-                (position_sigma_m(&told.camera), camera[0]),
-                (orientation_sigma_rad(&told.camera), camera[1]),
-                (position_sigma_m(&told.flange), flange[0]),
-                (orientation_sigma_rad(&told.flange), flange[1]),
+                (position_sigma_m(&claimed.camera), camera[0]),
+                (orientation_sigma_rad(&claimed.camera), camera[1]),
+                (position_sigma_m(&claimed.flange), flange[0]),
+                (orientation_sigma_rad(&claimed.flange), flange[1]),
             ] {
-                assert!((found / expected - 1.0).abs() < 0.08, "{found} told, {expected} scattered");
+                assert!((found / expected - 1.0).abs() < 0.08, "{found} claimed, {expected} scattered");
             }
         }
     }

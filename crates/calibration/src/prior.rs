@@ -1,4 +1,4 @@
-//! How far a free parameter may be from its nominal value before the data are heard.
+//! How far a free parameter may be from its nominal value before the data are used.
 //!
 //! What an arm is made to is not known beforehand: one has its axes within 0.02 deg, another its zeros off by a degree. So the sigmas of the arm's angles and
 //! lengths are two unknowns of their own ([`PriorGroup`]), estimated by the evidence (MacKay, "Bayesian interpolation", 1992) and integrated over in the
@@ -45,7 +45,7 @@ impl PriorGroup {
         }
     }
 
-    /// What the group's sigma is about before the data are heard, in its unit: its median. Identified arms of the literature lie between 0.02 and 1 deg and
+    /// What the group's sigma is about before the data are used, in its unit: its median. Identified arms of the literature lie between 0.02 and 1 deg and
     /// between 0.1 and 2 mm (Nubiola and Bonev, "Absolute calibration of an ABB IRB 1600 robot using a laser tracker", 2013, and its references).
     pub fn median(self) -> f64 {
         match self {
@@ -55,7 +55,7 @@ impl PriorGroup {
     }
 }
 
-/// Standard deviation of the logarithm of a variance component's sigma before the data are heard: 95 % within a factor of 20.
+/// Standard deviation of the logarithm of a variance component's sigma before the data are used: 95 % within a factor of 20.
 pub(crate) const LOG_SPREAD: f64 = 1.5;
 
 /// The sigma of normal numbers of which `determined` are known, with the sum of their squares, under a log-normal prior of its own: the root of

@@ -22,7 +22,7 @@ pub struct ReprojectionResidual {
 /// Residuals of all observations of tracks and board corners, in their order. Scene points and the board's pose are fitted to each model's cameras, nothing else
 /// moves; observations whose point cannot be triangulated, or lies behind a camera, are left out. Empty where there are pairs alone.
 ///
-/// `sigma_px`: the noise of a pixel coordinate, which sets how the loss hears outliers.
+/// `sigma_px`: the noise of a pixel coordinate, which sets how the loss weights outliers.
 ///
 /// # Errors
 /// Correspondences that contradict themselves, and what the models' kinematics refuse.

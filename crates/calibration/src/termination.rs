@@ -22,7 +22,7 @@ pub enum StopReason {
         /// What it had to fall below.
         threshold: f64,
     },
-    /// The last step was short beside what the data can tell.
+    /// The last step was short beside the standard deviations.
     SigmasConverged {
         /// Length of the step in the metric of the information matrix: sigmas, all unknowns together.
         sigmas: f64,

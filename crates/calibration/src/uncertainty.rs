@@ -1,4 +1,4 @@
-//! Covariances, and which sigmas may be told.
+//! Covariances, and which sigmas may be reported.
 
 use crate::identifiability::identify;
 use crate::prior::Priors;
@@ -8,7 +8,7 @@ use skclam_rig::{Posture, Rig};
 
 /// A posterior sigma above this fraction of the prior's says that the data were silent.
 const SILENT: f64 = 0.9;
-/// A parameter whose share in an unseen direction is above this is not told.
+/// A parameter whose fraction in an unobservable direction is above this gets no sigma.
 const TIED: f64 = 0.02;
 
 /// Inverse of an information matrix in the units of its parameters. Directions without information are left out (zero variance): their
@@ -43,12 +43,12 @@ pub(crate) fn estimates(
     identifiability: &Identifiability,
 ) -> Vec<ParameterEstimate> {
     let start = Model::new(nominal.clone());
-    let tell = |(k, &parameter): (usize, &Parameter)| {
+    let estimate = |(k, &parameter): (usize, &Parameter)| {
         let sigma = covariance[(k, k)].max(0.0).sqrt();
-        let unseen = identifiability.unobservable.iter().find(|direction| {
+        let unobservable = identifiability.unobservable.iter().find(|direction| {
             direction.combination.iter().any(|(p, fraction)| *p == parameter && fraction.abs() > TIED)
         });
-        let note = match (priors[k], unseen) {
+        let note = match (priors[k], unobservable) {
             (None, Some(direction)) => Some(format!("not observable: {}", direction.reason)),
             (Some(prior), direction) if sigma > SILENT * prior => Some(match direction {
                 Some(direction) => format!("held by its prior: {}", direction.reason),
@@ -67,7 +67,7 @@ pub(crate) fn estimates(
             note,
         }
     };
-    parameters.iter().enumerate().map(tell).collect()
+    parameters.iter().enumerate().map(estimate).collect()
 }
 
 /// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the parameters: what is not identifiable, and the parameters with

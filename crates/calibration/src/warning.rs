@@ -1,10 +1,10 @@
-//! What a person should hear of, though it is no error.
+//! What a user should know, though it is no error.
 
 use crate::Parameter;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A condition that a person should hear of, with its numbers.
+/// A condition that a user should know of, with its numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]

@@ -92,7 +92,7 @@ pub fn joints(index: usize, values: &[f64]) -> Posture {
     Posture::new(index as u64, PostureState::Joints(values.to_vec())).at(Some(index as f64))
 }
 
-/// Random postures whose camera stands inside the cell, within 0.85 m of its middle and above the floor.
+/// Random postures whose camera is inside the cell, within 0.85 m of its middle and above the floor.
 pub fn diverse_postures(rig: &Rig, count: usize, rng: &mut ChaCha8Rng) -> Vec<Posture> {
     let mut postures = Vec::new();
     while postures.len() < count {
@@ -189,7 +189,7 @@ pub fn half_pixel() -> Sensing {
     Sensing { sigma_px: 0.5, depth_relative: None, outliers: 0.0, keypoints: 400, encoder: 0.0 }
 }
 
-/// Tracks of the points as the true rig sees them. The postures come back as the encoders tell them.
+/// Tracks of the points as the true rig sees them. The postures come back as the encoders report them.
 pub fn record(
     truth: &Rig,
     postures: &[Posture],

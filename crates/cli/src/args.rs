@@ -75,11 +75,11 @@ pub enum Command {
     /// Make a data set of a recording: ROS 1 and 2 bags, MCAP, RealSense Viewer, TUM RGB-D.
     #[command(
         after_help = "Examples:\n  skclam import capture.mcap --robot ur5e --out cell/\n  skclam import capture.bag --rig rig.toml --out cell/ --moving --every 15\n\n\
-                            A posture is taken where the arm stands still: the sharpest image of each stand, with its depth image.\n\
+                            A posture is taken where the arm stands still: the sharpest image of each stationary interval, with its depth image.\n\
                             Writes rig.toml, postures.csv, color/ and depth/, whole or not at all."
     )]
     Import(ImportArgs),
-    /// Tell what a recording holds; or judge a data set before calibrating: coverage, sharpness, exposure, overlap.
+    /// Summarise a recording; or judge a data set before calibrating: coverage, sharpness, exposure, overlap.
     #[command(after_help = "Examples:\n  skclam inspect capture.mcap\n  skclam inspect cell/")]
     Inspect(InspectArgs),
     /// Turn target poses or joints into the ones to command, for controllers that accept no parameters.

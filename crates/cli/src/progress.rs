@@ -135,7 +135,7 @@ impl Progress for Screen {
     }
 }
 
-/// The largest resident set of this process so far, MiB; `None` where the system does not tell.
+/// The largest resident set of this process so far, MiB; `None` where the system does not say.
 pub fn peak_memory_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

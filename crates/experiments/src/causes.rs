@@ -31,7 +31,7 @@ pub enum Cause {
     PostureNoise,
 }
 
-/// Causes and the words by which a statement names them. Longer phrases stand first where one contains another.
+/// Causes and the words by which a statement names them. Longer phrases come first where one contains another.
 const WORDS: [(Cause, &[&str]); 18] = [
     (Cause::FocalLength, &["focal", "fx ", "fy "]),
     (Cause::PrincipalPoint, &["principal point", "optical centre", "image centre", "cx ", "cy "]),
@@ -49,7 +49,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
         &[
             "extrinsic",
             "color_from_depth",
-            "depth camera stands",
+            "depth camera is mounted",
             "colour and depth",
             "depth to colour",
             "depth_x ",
@@ -86,7 +86,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
     (Cause::ImageShift, &["shifted by", "rows of postures.csv", "row of postures.csv", "one posture late", "one row"]),
     (
         Cause::MountFarOff,
-        &["mount was found", "mount is far off", "mount far off", "find-mount", "mount stood", "nominal mount was"],
+        &["mount was found", "mount is far off", "mount far off", "find-mount", "own mount was", "nominal mount was"],
     ),
     (
         Cause::FewPostures,

@@ -1,4 +1,4 @@
-//! A calibration's parameters beside the truth, up to what no image can tell.
+//! A calibration's parameters beside the truth, up to the gauge.
 //!
 //! The true arm of a virtual cell is wrong in more numbers than are free: what the base's gauge and the last link carry is taken over by others.
 //! The truth in the estimator's own words is the set of free values whose camera poses are the true ones, up to a turn about and a
@@ -56,10 +56,10 @@ pub struct Score {
 
 /// Singular values below this part of the largest belong to combinations that move no camera. Parameters are in their natural scales, and
 /// derivatives are differences, good to about 1e-9.
-const UNSEEN: f64 = 1e-6;
+const UNOBSERVABLE: f64 = 1e-6;
 /// Radians weigh as this many metres.
 const METRES_PER_RADIAN: f64 = 0.3;
-/// A parameter is identifiable by itself when no more than this part of it (squared) lies in unseen combinations.
+/// A parameter is identifiable by itself when no more than this part of it (squared) lies in unobservable combinations.
 const UNSEEN_FRACTION: f64 = 0.01;
 
 /// Judges a calibration from `nominal` by the true rig, whose cameras at some postures are `truth_at`.
@@ -148,7 +148,7 @@ fn expressed(estimate: &Model, parameters: &[Parameter], truth: &TruePoses) -> R
         let system = System::at(&model, gauge, parameters, truth)?;
         let svd = system.jacobian.clone().svd(true, true);
         let step = svd
-            .solve(&system.residual, UNSEEN * svd.singular_values.max())
+            .solve(&system.residual, UNOBSERVABLE * svd.singular_values.max())
             .map_err(|problem| anyhow::anyhow!("the truth cannot be expressed: {problem}"))?;
         if step.amax() < 1e-7 || round == ROUNDS {
             let left = system.residual.amax();
@@ -170,7 +170,7 @@ fn seen_combinations(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     let own = jacobian.columns(0, count).into_owned();
     let own = &own - &gauge * (gauge.transpose() * &own);
     let svd = own.svd(false, true);
-    let limit = UNSEEN * svd.singular_values.max();
+    let limit = UNOBSERVABLE * svd.singular_values.max();
     let v_t = svd.v_t.unwrap_or_else(|| DMatrix::zeros(0, count));
     let rows: Vec<_> =
         (0..v_t.nrows()).filter(|&k| svd.singular_values[k] > limit).map(|k| v_t.row(k).transpose()).collect();

@@ -48,7 +48,7 @@ impl Compared {
     }
 }
 
-/// What a run is told and shown as.
+/// What a run is given and shown as.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shown {
     /// The traffic light.

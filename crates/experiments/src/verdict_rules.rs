@@ -20,7 +20,7 @@ pub struct Verdict {
 /// A claim covers an error up to so many times its size.
 const COVERED: f64 = 2.0;
 
-/// Whether an answer may be used as it stands: its error is covered by its claim, and answer and claim are better than nominal.
+/// Whether an answer may be used as it is: its error is covered by its claim, and answer and claim are better than nominal.
 pub fn within_claim(measured: &Measured) -> bool {
     covered(measured)
         && measured.recorded.is_some_and(|recorded| {

@@ -52,7 +52,7 @@ const NO_KEY: u64 = u64::MAX;
 /// Keypoints with a predicted point are searched near it (and in the band, if there is one), others in the band; without
 /// a band they find nothing. If the prediction says nothing at all (neither points nor a matrix with a gate, or the
 /// zero matrix of one posture taken twice), everything is compared as in [`match_and_filter`]; the outcome of the gate
-/// tells. In the counts, `after_gate` is the number of keypoints of A with a candidate.
+/// says so. In the counts, `after_gate` is the number of keypoints of A with a candidate.
 ///
 /// # Errors
 /// As [`match_and_filter`]; also predicted points that are not finite or not as many as keypoints of A, positions whose

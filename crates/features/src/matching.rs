@@ -13,11 +13,11 @@ pub use nearest::{Nearest, TwoNearest, two_nearest};
 use crate::{Descriptor, FeaturesError, Match};
 use serde::{Deserialize, Serialize};
 
-/// Stands in for the second distance in the ratio test where there is no second neighbour: half of the bits, which is
+/// Replaces the second distance in the ratio test where there is no second neighbour: half of the bits, which is
 /// what descriptors that have nothing to do with each other differ by on average.
 pub const UNRELATED_DISTANCE: u32 = 243;
 
-/// Which nearest neighbours are believed.
+/// Which nearest neighbours are accepted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {

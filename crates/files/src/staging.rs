@@ -74,7 +74,7 @@ pub fn abandon_everything(patience: Duration) -> bool {
     };
     ABANDONED.store(true, Ordering::SeqCst);
     if guard.is_none() {
-        // Half published: the journal tells the next command how to go on.
+        // Half published: from the journal the next command knows how to go on.
         return false;
     }
     // Held until the program ends.
@@ -102,7 +102,7 @@ pub(crate) fn prefix(name: &str) -> String {
     while !name.is_char_boundary(most) {
         most -= 1;
     }
-    // Long names that begin alike are told apart.
+    // Long names that begin alike are distinguished.
     let rest = if most < name.len() { format!("~{:08x}", crc32fast::hash(name.as_bytes())) } else { String::new() };
     format!(".{}{rest}.partial-", &name[..most])
 }

@@ -13,7 +13,7 @@ const UR_LINKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wri
 ///
 /// That layout has no place for what follows the last axis (`a_6` and `alpha_6` of a classic DH table, a fixed transform
 /// to the flange). Where it is not the identity, a comment at the head of the file gives it, to be added to the tool.
-/// `hash`: goes to the `hash` entry, with which the driver tells one arm's calibration from another's.
+/// `hash`: goes to the `hash` entry, with which the driver distinguishes one arm's calibration from another's.
 ///
 /// # Errors
 /// [`KinematicsError::Export`] if the chain is not six revolute joints or `hash` is not a plain word.

@@ -34,7 +34,7 @@ pub struct JointAxis {
 impl SerialChain {
     /// The chain with these axes and with this flange pose when all joint values are zero.
     ///
-    /// Joint 1 has `alpha = a = 0`: where the axis stands in the base is in
+    /// Joint 1 has `alpha = a = 0`: where the axis is in the base is in
     /// [`base_from_first`](SerialChain::base_from_first), the identity if it is the z axis of the base. The
     /// [`last_from_flange`](SerialChain::last_from_flange) is the identity if the flange's z axis is the last axis and
     /// the last link is a DH link.

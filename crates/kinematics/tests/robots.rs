@@ -288,7 +288,7 @@ fn spherical_wrists_have_eight_solutions_and_the_others_none() {
 }
 
 /// No public description of these is known: the lengths are checked by hand. With the angles of the paper's Table 1 both
-/// arms stand straight up at zero; with joint 3 at 90 deg the forearm points ahead, the elbow's offset upwards.
+/// arms point straight up at zero; with joint 3 at 90 deg the forearm points ahead, the elbow's offset upwards.
 #[test]
 fn the_arms_of_the_paper_in_two_poses() {
     for (file, [base, shoulder, lower, elbow, fore, hand]) in [

@@ -62,7 +62,7 @@ fn grouped(value: f64) -> String {
 }
 
 /// Shows metrics of `summary.json` and says where each is from: `<data value="..." data-from="/json/pointer">text</data>`, the value
-/// as it stands in the file, the text with fewer digits.
+/// as written in the file, the text with fewer digits.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers<'a> {
     run: &'a RunResult,
@@ -100,7 +100,7 @@ impl<'a> Numbers<'a> {
     }
 }
 
-/// A chart: data and layout of plotly.js, and what a person who cannot see it is told.
+/// A chart: data and layout of plotly.js, and its description for a person who cannot see it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
     /// Unique in the page.

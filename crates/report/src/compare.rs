@@ -1,4 +1,4 @@
-//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free stands there as it was held; where it has no
+//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free is shown as it was held; where it has no
 //! such row at all, its place is empty. Parameters of one arm are held against each other in sigmas, those of two arms are not.
 
 use crate::RunResult;
@@ -28,7 +28,7 @@ pub struct ComparedRun {
     pub name: String,
     /// Its rig.
     pub rig: String,
-    /// The data set's folder as the run named it; `None` where the result does not tell.
+    /// The data set's folder as the run named it; `None` where the result does not name it.
     pub dataset: Option<String>,
     /// Why its arm is another than the first run's; `None` for the first, and for the same arm.
     pub another_arm: Option<String>,
@@ -61,7 +61,7 @@ pub struct Row {
 /// A metric of one run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cell {
-    /// As it stands in the run's summary.
+    /// As written in the run's summary.
     pub value: f64,
     /// Its standard deviation, for parameters that have one.
     pub sigma: Option<f64>,
@@ -96,7 +96,7 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
 ];
 
 impl Comparison {
-    /// Compares; the first run is the one that the others are held against. `rigs`: the calibrated rigs of the runs (`rig.toml`), which tell what was
+    /// Compares; the first run is the one that the others are held against. `rigs`: the calibrated rigs of the runs (`rig.toml`), which say what was
     /// held; `None`, or nothing at all, where there is none.
     pub fn of(runs: &[RunResult], rigs: &[Option<Rig>]) -> Self {
         let mut parameters = parameters(runs);
@@ -171,7 +171,7 @@ fn add_held(rows: &mut [Row], rigs: &[Option<Rig>]) {
 /// Parameters of one arm after two calibrations are not farther apart, deg and mm.
 const SAME_ARM: [(&str, f64); 2] = [("deg", 5.0), ("mm", 30.0)];
 
-/// What tells that a run's arm is not that of the first.
+/// What shows that a run's arm is not that of the first.
 fn another_arm(rows: &[Row], rigs: &[Option<Rig>], at: usize) -> Option<String> {
     let joints = |at: usize| Some(rigs.get(at)?.as_ref()?.robot.as_ref()?.joint_count());
     if let (Some(first), Some(other)) = (joints(0), joints(at))
@@ -225,7 +225,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             vec![
                 name.clone(),
                 escaped(&run.rig),
-                escaped(run.dataset.as_deref().unwrap_or("not told")),
+                escaped(run.dataset.as_deref().unwrap_or("not given")),
                 format!("<strong>{}</strong>", escaped(&run.status)),
                 escaped(&run.verdict),
             ]
@@ -298,7 +298,7 @@ fn labels(comparison: &Comparison) -> Vec<String> {
 fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Option<Chart> {
     let after = |run: &RunResult| run.number("/calibration/epipolar_after/median_px");
     runs.iter().find_map(after)?;
-    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    // Points and no bars: a logarithmic axis has no zero for a bar to start from.
     let points = |name: &str, which: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> =
             runs.iter().map(|run| run.number(&format!("/calibration/epipolar_{which}/median_px"))).collect();
@@ -330,14 +330,14 @@ fn changes_chart(comparison: &Comparison) -> Option<Chart> {
     let colors = [CALIBRATED, NOMINAL, "#009E73", "#CC79A7", "#56B4E9"];
     let traces: Vec<_> = (1..comparison.runs.len())
         .filter_map(|at| {
-            let told: Vec<(&str, f64)> = rows
+            let with_sigmas: Vec<(&str, f64)> = rows
                 .iter()
                 .filter_map(|row| Some((row.name.as_str(), row.cells[at].as_ref()?.apart_sigmas?)))
                 .collect();
-            (!told.is_empty()).then(|| {
+            (!with_sigmas.is_empty()).then(|| {
                 json!({"type": "scatter", "mode": "markers", "name": labels(comparison)[at],
-                       "x": told.iter().map(|(name, _)| escaped(name)).collect::<Vec<_>>(),
-                       "y": told.iter().map(|(_, sigmas)| *sigmas).collect::<Vec<_>>(),
+                       "x": with_sigmas.iter().map(|(name, _)| escaped(name)).collect::<Vec<_>>(),
+                       "y": with_sigmas.iter().map(|(_, sigmas)| *sigmas).collect::<Vec<_>>(),
                        "marker": {"size": 8, "color": colors[(at - 1) % colors.len()], "symbol": symbols[(at - 1) % symbols.len()]},
                        "hovertemplate": "%{x}: %{y:.1f} sigma<extra></extra>"})
             })
@@ -420,15 +420,15 @@ mod tests {
     #[test]
     fn two_arms_are_not_held_against_each_other() {
         let parameters = |value: f64| json!([{"name": "a_3", "unit": "mm", "calibrated": value, "sigma": 0.1}]);
-        let told = |value: f64, rigs: &[Option<Rig>]| {
+        let compared = |value: f64, rigs: &[Option<Rig>]| {
             let comparison = Comparison::of(&[run("one", parameters(260.0)), run("two", parameters(value))], rigs);
             let apart = comparison.groups[1].rows[0].cells[1].as_ref().unwrap().apart_sigmas;
             (apart.is_some(), comparison.runs[1].note(1))
         };
-        assert_eq!(told(260.2, &[]), (true, None));
-        let (held_against, note) = told(425.0, &[]);
+        assert_eq!(compared(260.2, &[]), (true, None));
+        let (held_against, note) = compared(425.0, &[]);
         assert!(!held_against && note.unwrap().contains("a_3 differs by 165 mm"));
-        let (held_against, note) = told(260.2, &[rig("hp3j"), rig("franka-fr3")]);
+        let (held_against, note) = compared(260.2, &[rig("hp3j"), rig("franka-fr3")]);
         assert!(!held_against && note.unwrap().contains("7 joints"));
     }
 }

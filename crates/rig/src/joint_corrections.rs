@@ -6,7 +6,7 @@ use crate::{Posture, PostureState};
 use nalgebra::Vector3;
 use skclam_kinematics::{KinematicsError, SerialChain};
 
-/// Where one joint truly stands: `q + transmission_sin sin(q) + transmission_cos cos(q) + compliance * gravity_arm`.
+/// Where one joint truly is: `q + transmission_sin sin(q) + transmission_cos cos(q) + compliance * gravity_arm`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct JointCorrection {
     /// Radians.
@@ -37,7 +37,7 @@ pub struct JointReading {
     pub gravity_arm: f64,
 }
 
-/// The readings of a posture; a joint whose rate is not known stands still.
+/// The readings of a posture; a joint whose rate is not known is at rest.
 ///
 /// # Errors
 /// What the arm refuses of the joint values.
@@ -54,14 +54,14 @@ pub fn joint_readings(arm: &SerialChain, values: &[f64], rates: &[f64]) -> Resul
 }
 
 /// Fills in the rates of postures in the order of a recording, from the values and timestamps of their neighbours. Where these do not
-/// tell them, there are none.
+/// give them, there are none.
 pub fn fill_joint_rates<'a>(postures: impl IntoIterator<Item = &'a mut Posture>) {
     let mut postures: Vec<&mut Posture> = postures.into_iter().collect();
-    let told = |posture: &Posture| match &posture.state {
+    let joints_of = |posture: &Posture| match &posture.state {
         PostureState::Joints(values) => Some((posture.timestamp_s?, values.clone())),
         PostureState::FlangePose(_) => None,
     };
-    let known: Vec<_> = postures.iter().map(|posture| told(posture)).collect();
+    let known: Vec<_> = postures.iter().map(|posture| joints_of(posture)).collect();
     for (at, posture) in postures.iter_mut().enumerate() {
         let (before, after) = (&known[at.saturating_sub(1)], &known[(at + 1).min(known.len() - 1)]);
         posture.joint_rates = match (before, after) {
@@ -84,7 +84,7 @@ impl JointCorrections {
         self.joints.get(joint).copied().unwrap_or_default()
     }
 
-    /// Where the joints truly stand.
+    /// Where the joints truly are.
     pub fn applied(&self, readings: &[JointReading]) -> Vec<f64> {
         let correct = |(joint, reading): (usize, &JointReading)| {
             let own = self.of(joint);
@@ -94,7 +94,7 @@ impl JointCorrections {
         readings.iter().enumerate().map(correct).collect()
     }
 
-    /// What the encoders of an arm at rest say where its joints truly stand at `values`: the inverse of [`JointCorrections::applied`].
+    /// What the encoders of an arm at rest say where its joints truly are at `values`: the inverse of [`JointCorrections::applied`].
     ///
     /// # Errors
     /// What the arm refuses of the joint values.

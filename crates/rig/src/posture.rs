@@ -1,4 +1,4 @@
-//! Where the arm stood when an image was taken.
+//! The posture of the arm when an image was taken.
 
 use skclam_geometry::Isometry3;
 

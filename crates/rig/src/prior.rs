@@ -1,4 +1,4 @@
-//! How far a parameter may be from its nominal value, in physical units, before the data are heard.
+//! How far a parameter may be from its nominal value, in physical units, before the data are used.
 
 use serde::{Deserialize, Serialize};
 

@@ -183,7 +183,7 @@ fn acceptable(
     let Some(chain) = rig.robot.as_ref() else { return Err(SimulationError::NoRobot) };
     let base_from_color = chain.base_from_flange(joint_values)? * rig.flange_from_color;
     let eye = Point3::from(base_from_color.translation.vector);
-    // Above the table, and the links clear of what stands on it; the first two points are the base itself.
+    // Above the table, and the links clear of what is on it; the first two points are the base itself.
     let too_low = |point: &Point3| point.z < LINK_CLEARANCE_M && point.coords.xy().norm() > 0.02;
     if skeleton.iter().skip(2).any(too_low) || eye.z < 0.12 {
         return Ok(None);

@@ -284,7 +284,7 @@ pub fn depth_counts(depth: &DepthImage, unit_m: f64) -> Vec<u16> {
         .collect()
 }
 
-/// Noise of the joints: where the arm really stood differs from what was written down.
+/// Noise of the joints: where the arm really was differs from what was written down.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderNoiseOptions {
@@ -313,7 +313,7 @@ impl EncoderNoiseOptions {
         Ok(())
     }
 
-    /// Where the arm stood at posture number `index` when the encoders said `joint_values`.
+    /// Where the arm was at posture number `index` when the encoders said `joint_values`.
     pub fn apply(
         &self,
         chain: &skclam_kinematics::SerialChain,

@@ -1,7 +1,7 @@
 //! A data set as the robot would have recorded it: an MCAP of ROS 2 messages (CDR), to practise `import` and to test it.
 //!
-//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one depth image at
-//! each stand, with their `CameraInfo` and the static transform between the two cameras.
+//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one depth image
+//! at each rest, with their `CameraInfo` and the static transform between the two cameras.
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::progress::{Progress, Stage};
@@ -35,10 +35,10 @@ pub enum RobotRecordingError {
 
 /// Seconds between two joint states.
 const JOINT_PERIOD_S: f64 = 0.02;
-/// Seconds of a stand, and of the drive to the next.
+/// Seconds at rest, and of the drive to the next.
 const STAND_S: f64 = 2.0;
 const DRIVE_S: f64 = 1.0;
-/// When the images are taken, after the stand began.
+/// When the images are taken, after the rest began.
 const IMAGE_AFTER_S: f64 = 1.2;
 /// The recording begins here, so that no stamp is zero.
 const START_S: f64 = 1000.0;

@@ -57,7 +57,7 @@ pub struct Summary {
     pub workspace_poses: Option<PoseSigmaSummary>,
     /// The map; `null` without depth.
     pub map: Option<MapSummary>,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<String>,
     /// The settings in force: they are a valid `--config` file.
     pub configuration: Config,
@@ -114,13 +114,13 @@ pub struct CalibrationSummary {
     pub parameters: Vec<ParameterSummary>,
     /// Number of free parameters.
     pub free: usize,
-    /// How many combinations of them the data can tell; `null` for Nelder-Mead.
+    /// How many combinations of them are identifiable; `null` for Nelder-Mead.
     pub rank: Option<usize>,
     /// Greatest over smallest singular value of what is seen.
     pub condition_number: Option<f64>,
     /// Observability indices O1 to O5.
     pub observability: Option<[f64; 5]>,
-    /// What the data cannot tell, and why, in words.
+    /// What is not identifiable, and why, in words.
     pub not_identifiable: Vec<String>,
     /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that were not refined).
     pub pixel_sigma: f64,

@@ -34,7 +34,7 @@ pub(crate) struct Adjustment<'a> {
     pub noise: NoiseScales,
     /// What the errors of single postures consist of.
     pub errors: &'a PostureErrorModel,
-    /// How the loss stands beside the prior of the posture errors.
+    /// How the loss is weighted against the prior of the posture errors.
     pub balance: LossCorrection,
     /// A parameter that does not move.
     pub held: Option<usize>,
@@ -196,7 +196,7 @@ impl Adjustment<'_> {
         Ok(unknowns.assemble(&system, &columns).1)
     }
 
-    /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are told.
+    /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are reported.
     pub(crate) fn triangulate(&self, state: &State) -> Vec<Option<Point3>> {
         triangulate_all(self.observations, &state.view(&self.noise, self.loss), None)
     }

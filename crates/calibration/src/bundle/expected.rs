@@ -1,4 +1,4 @@
-//! What a calibration can be expected to tell, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
+//! What a calibration can be expected to determine, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
 //!
 //! The information about the parameters does not depend on what was measured, only on where the measurements are made. So observations predicted
 //! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
@@ -28,7 +28,7 @@ use skclam_rig::Rig;
 pub struct ExpectationOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// Sigma of a pixel coordinate whose covariance is the unit matrix, px.
     pub pixel_sigma: f64,
@@ -54,21 +54,21 @@ impl Default for ExpectationOptions {
     }
 }
 
-/// What a calibration can be expected to tell.
+/// What a calibration can be expected to determine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExpectedCalibration {
     /// The free parameters; `value` is the nominal one.
     pub parameters: Vec<ParameterEstimate>,
     /// Covariance of the free parameters in their order and units, the data and the priors together.
     pub covariance: DMatrix<f64>,
-    /// What the data can tell.
+    /// Which parameters are identifiable.
     pub identifiability: Identifiability,
     /// Covariances of flange and camera, one a posture of the data.
     pub poses: Vec<PoseCovariance>,
 }
 
 /// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board corners as the nominal
-/// rig would see them; pairs are not heard. Nothing is solved. Fails where `data` are malformed, or are fewer than the free parameters.
+/// rig would see them; pairs are not used. Nothing is solved. Fails where `data` are malformed, or are fewer than the free parameters.
 pub fn expected_calibration(
     nominal: &Rig,
     data: &Correspondences,
@@ -215,7 +215,7 @@ mod tests {
         }
         let expected = expected_calibration(&hp3j(), &predicted(&postures, 1000), &Default::default()).unwrap();
         let reasons: Vec<&str> =
-            expected.identifiability.unobservable.iter().map(|unseen| unseen.reason.as_str()).collect();
+            expected.identifiability.unobservable.iter().map(|direction| direction.reason.as_str()).collect();
         assert!(reasons.iter().any(|reason| reason.starts_with("joint 5 moved by only 0.0 deg")), "{reasons:?}");
         assert!(expected.parameters.iter().any(|parameter| parameter.note.is_some()));
         assert_eq!(expected.poses.len(), 24);

@@ -41,15 +41,15 @@ pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, dof: f64) -> N
 /// Scale of residuals `(size, share of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
 fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square: f64) -> f64 {
     // An observation that its own point swallows says nothing.
-    let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();
-    let mut sizes: Vec<f64> = heard.iter().map(|(size, dof)| size / dof.sqrt()).collect();
+    let used: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();
+    let mut sizes: Vec<f64> = used.iter().map(|(size, dof)| size / dof.sqrt()).collect();
     if sizes.is_empty() {
         return 1.0;
     }
     let mut scale = quantile(&mut sizes, 1.0 / 3.0) / third_of_one;
     for _ in 0..30 {
         let (mut sum, mut dof) = (0.0, 0.0);
-        for (size, fraction) in &heard {
+        for (size, fraction) in &used {
             if *size < gate * scale * fraction.sqrt() {
                 sum += size * size;
                 dof += fraction;
@@ -68,7 +68,7 @@ fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square
     scale
 }
 
-/// How a robust loss stands beside a quadratic prior.
+/// How a robust loss is weighted against a quadratic prior.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LossCorrection {
     /// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix (Huber and Ronchetti, "Robust Statistics", 2009, section 7.6):
@@ -87,7 +87,7 @@ impl LossCorrection {
     pub(crate) fn of(sizes: &[ResidualSize], loss: Loss) -> LossCorrection {
         let (mut psi2, mut weight, mut curvature) = (0.0, 0.0, 0.0);
         let (mut dof, mut count) = (0.0, 0.0);
-        let mut hear = |u: f64, dimensions: f64, fraction: f64| {
+        let mut add = |u: f64, dimensions: f64, fraction: f64| {
             let (w, c) = (loss.weight(u), loss.curvature(u));
             psi2 += (w * u).powi(2);
             weight += dimensions * w;
@@ -96,9 +96,9 @@ impl LossCorrection {
             count += dimensions;
         };
         for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
-            hear(size.pixel, 2.0, size.pixel_dof);
+            add(size.pixel, 2.0, size.pixel_dof);
             if let Some((u, fraction)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
-                hear(u, 1.0, fraction);
+                add(u, 1.0, fraction);
             }
         }
         if dof <= 0.0 || curvature <= 0.0 {

@@ -34,7 +34,7 @@ pub enum RulerPolicy {
 pub struct BundleOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// The loss; its constant in sigmas.
     pub loss: Loss,

@@ -8,7 +8,7 @@ use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
 use crate::robust::median;
 
-/// A posture is suspect when so many of its observations are outliers, and so many more than everywhere.
+/// A posture is an outlier when so many of its observations are outliers, and so many more than everywhere.
 const OUTLIER_POSTURE_FRACTION: f64 = 0.5;
 const OUTLIER_POSTURE_EXCESS: f64 = 0.25;
 /// Or when its median residual is so many times that of the median posture.
@@ -16,18 +16,18 @@ const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
 /// Observations that a judgement takes.
 const ENOUGH_SIGHTS: usize = 8;
 
-/// How well each posture fits where it can be told: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
+/// How well each posture fits where it can be judged: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
 /// judged by all.
 pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec<PostureFit> {
-    let mut told: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
+    let mut judged: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
     for range in observations.offsets.windows(2) {
         let track = &sizes[range[0]..range[1]];
         if track.len() >= 3 && track.iter().filter(|size| size.pixel < OUTLIER_SIGMAS).count() >= 2 {
-            told.extend_from_slice(track);
+            judged.extend_from_slice(track);
         }
     }
-    told.extend_from_slice(&sizes[observations.observations.len()..]);
-    let mut fits = posture_fits(&told, observations.postures);
+    judged.extend_from_slice(&sizes[observations.observations.len()..]);
+    let mut fits = posture_fits(&judged, observations.postures);
     let all = posture_fits(sizes, observations.postures);
     fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < ENOUGH_SIGHTS).for_each(|(fit, all)| *fit = all);
     fits

@@ -1,7 +1,7 @@
 //! What the cameras measure of a scene point: residuals, costs, and both linearised by the point.
 //!
 //! Everything is differentiated by the point *in the base frame*. A twist `(v, omega)` of the base frame that moves a camera moves what it sees by
-//! `-(v + omega x X)`, whichever camera it is, so that the 3 x 3 information of a point is all that an observation has to tell.
+//! `-(v + omega x X)`, whichever camera it is, so that the 3 x 3 normal matrix of a point is all that an observation contributes.
 
 use crate::bundle::observations::Observation;
 use crate::{DepthCorrection, Loss};
@@ -50,7 +50,7 @@ impl Frame {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scales {
     pub loss: Loss,
-    /// Sigma of a pixel coordinate whose covariance is told as 1.
+    /// Sigma of a pixel coordinate whose covariance is given as 1.
     pub pixel: f64,
     /// `s` of `sigma = s z^2`: the sigma of an inverse depth.
     pub depth: f64,

@@ -1,6 +1,6 @@
 //! Errors of single postures as random effects: how many unknowns they are, and what the data say of their variances.
 //!
-//! A joint stands off its reading in every posture anew (encoder, backlash, bending under load), a controller's flange pose is off by six numbers. All
+//! A joint is off its reading in every posture anew (encoder, backlash, bending under load), a controller's flange pose is off by six numbers. All
 //! observations of an image share these errors: they do not average out with the number of its features, so they are always in the model, with
 //! variances estimated by marginal likelihood.
 
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
 use skclam_rig::Rig;
 
-/// Sigma of a joint's error before the data are heard, rad (0.003 deg): a good encoder.
+/// Sigma of a joint's error before the data are used, rad (0.003 deg): a good encoder.
 const FIRST_JOINT: f64 = 5.2e-5;
 /// The same of a prismatic joint, m.
 const FIRST_SLIDE: f64 = 3e-5;
@@ -40,7 +40,7 @@ pub enum ErrorKind {
 pub(crate) struct PostureErrorModel {
     /// One a component: a joint, or the six of a flange pose.
     pub kinds: Vec<ErrorKind>,
-    /// Sigmas before the data are heard.
+    /// Sigmas before the data are used.
     pub first: PostureErrorSigmas,
     /// Whether the sigma of angular, of linear components is estimated.
     pub estimated: [bool; 2],
@@ -137,7 +137,7 @@ impl BundleAdjuster<'_> {
         let prior = self.errors.sigma_of(&sigmas);
         let determined = |k: usize| (1.0 - covariance[(first + k, first + k)] / prior(k).powi(2)).clamp(0.0, 1.0);
         let whitened = |k: usize| (state.posture_errors[k] / prior(k)).powi(2);
-        // One that stands far off (a displaced camera, wrong joints) is no noise.
+        // One that is far off (a displaced camera, wrong joints) is no noise.
         let ratio = |posture: usize| {
             let range = posture * components..(posture + 1) * components;
             range.clone().map(whitened).sum::<f64>() / range.map(determined).sum::<f64>().max(1e-3)

@@ -74,7 +74,7 @@ fn point_block(normal: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
     Some(PointBlock { factor_inverse, inverse: factor_inverse.transpose() * factor_inverse })
 }
 
-/// Inverse of a track's point block without damping: the covariance of the point when the cameras stand still.
+/// Inverse of a track's point block without damping: the covariance of the point when the cameras are fixed.
 pub(crate) fn point_covariance(
     view: &ProjectionModel<'_>,
     track: &[Observation],

@@ -38,7 +38,7 @@ const EXACT_SIGMA: f64 = 1e-2;
 const MIN_ITERATIONS: usize = 10;
 /// Times that the sample is searched for postures that are wrong.
 const MAX_SCREENING_ROUNDS: usize = 3;
-/// `s` of `sigma = s z^2` before the data are heard, 1/m.
+/// `s` of `sigma = s z^2` before the data are used, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
 /// Fewer observations of a kind do not determine its noise.
 const MIN_OF_A_KIND: usize = 50;

@@ -208,7 +208,7 @@ fn exact_data_are_fitted_exactly() {
     assert!(camera_error(&truth, &result.model.rig, &data.postures) < 1e-8, "{}", result.termination);
     assert!(result.reprojection_after.unwrap().rms_px < 1e-4);
     assert!(result.reprojection_before.unwrap().rms_px > 1.0);
-    // With the gauge free as well the rank tells.
+    // With the gauge free as well the rank shows it.
     let (_, data) = recording(manufacture(), 20, 2500, rgbd(), 1);
     let options = BundleOptions { priors: PriorPolicy::Never, ..options };
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
@@ -318,7 +318,7 @@ fn repeated_texture_does_not_move_it() {
 
 #[test]
 fn a_thing_that_moved_does_not_move_it() {
-    // A fifth of the points stands 80 mm further from the tenth posture on.
+    // A fifth of the points is 80 mm further from the tenth posture on.
     let mut rng = seeded(19);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 30, &mut rng);
@@ -398,7 +398,7 @@ fn a_displaced_camera_does_not_hide_a_wrong_posture() {
 
 #[test]
 fn matches_that_contradict_each_other_are_told() {
-    // Every other observation sees the like thing 60 px to the right, consistently: nobody can tell which of the two worlds is the right one.
+    // Every other observation sees the like thing 60 px to the right, consistently: which of the two worlds is the right one is not identifiable.
     let (_, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
     for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
@@ -407,14 +407,14 @@ fn matches_that_contradict_each_other_are_told() {
         }
     }
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
-    let told = |result: &Calibration| {
+    let warned = |result: &Calibration| {
         result.warnings.iter().any(|w| matches!(w, Warning::LargeResiduals { sigma } if *sigma > 5.0))
     };
-    assert!(told(&result), "{:?} {:?}", result.noise, result.warnings);
+    assert!(warned(&result), "{:?} {:?}", result.noise, result.warnings);
     // What is right is not accused.
     let (_, data) = recording(manufacture(), 20, 3000, rgbd(), 18);
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
-    assert!(!told(&result), "{:?} {:?}", result.noise, result.warnings);
+    assert!(!warned(&result), "{:?} {:?}", result.noise, result.warnings);
 }
 
 #[test]
@@ -453,7 +453,7 @@ fn corners_and_tracks_tell_their_own_noise() {
     let seen: Vec<_> = seen.into_iter().take(24).collect();
     let postures: Vec<_> = seen.iter().map(|observation| drawn[observation.posture].clone()).collect();
     let mut data = record(&truth, &postures, &box_points(4000, &mut rng), half_pixel(), &mut rng);
-    // Told as if corners were as uncertain as tracks; ten times better is what they are.
+    // Stated as if corners were as uncertain as tracks; ten times better is what they are.
     data.boards = seen.into_iter().enumerate().map(|(posture, o)| crate::BoardObservation { posture, ..o }).collect();
     let mut nominal = hp3j();
     nominal.board = Some(board);

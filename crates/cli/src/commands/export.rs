@@ -164,7 +164,7 @@ fn urdf_source(path: &Path, args: &ExportArgs) -> Result<UrdfSource> {
     };
     let base_link = choose("--base-link", &args.base_link, bases)?;
     let tip_link = choose("--tip-link", &args.tip_link, tips)?;
-    // Links that are not there are told with the file's name.
+    // Links that are not there are reported with the file's name.
     chain_from_urdf(&text, &base_link, &tip_link).with_context(|| shown.to_string())?;
     Ok(UrdfSource { text, base_link, tip_link })
 }

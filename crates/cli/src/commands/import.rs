@@ -22,7 +22,7 @@ pub struct ImportArgs {
     /// Folder for the data set; made if it is not there.
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
-    /// Rig file with the arm and the mount; its cameras stand where the recording has no CameraInfo.
+    /// Rig file with the arm and the mount; its cameras are used where the recording has no CameraInfo.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot")]
     pub rig: Option<PathBuf>,
     /// A built-in robot by name (ur5e, franka-fr3, ...): its mount is a guess that you should replace.

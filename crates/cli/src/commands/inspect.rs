@@ -24,7 +24,7 @@ pub struct InspectArgs {
     pub free: String,
 }
 
-/// Tells what a recording holds, or judges a data set.
+/// Summarises a recording, or judges a data set.
 pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
     if args.path.join("postures.csv").is_file() {
         let dataset = Dataset::open(&args.path)?;
@@ -231,8 +231,8 @@ fn show_expected(expected: &ExpectedSigmas) {
     };
     say!("predicted for {observations} with {} px{depth} of noise", expected.pixel_sigma);
     say!(
-        "{} of {} combinations of parameters can be told to half of their tolerance or better",
-        expected.told,
+        "{} of {} combinations of parameters can be determined to half of their tolerance or better",
+        expected.identifiable,
         expected.free
     );
 }

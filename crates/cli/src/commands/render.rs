@@ -36,8 +36,8 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     staged.write(bytes.into_inner())?;
     staged.publish()?;
     if cli.json {
-        let told = serde_json::json!({ "picture": args.out, "width": image.width(), "height": image.height() });
-        screen::json(&told)?;
+        let written = serde_json::json!({ "picture": args.out, "width": image.width(), "height": image.height() });
+        screen::json(&written)?;
     } else {
         say!("{} x {}: {}", image.width(), image.height(), args.out.display());
     }

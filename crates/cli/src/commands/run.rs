@@ -28,8 +28,8 @@ pub fn filter_self(dataset: &mut Dataset, args: &SelfFilterArgs, quiet: bool) ->
     let options =
         SelfFilterOptions { base_link: args.self_filter_base.clone(), margin_m: args.self_filter_margin_mm * 1e-3 };
     let filter = SelfFilter::read(urdf, &dataset.rig, options)?;
-    let told: Vec<String> = filter.left_out().iter().map(|link| format!("self filter without {link}")).collect();
-    screen::warn(quiet, &told);
+    let warnings: Vec<String> = filter.left_out().iter().map(|link| format!("self filter without {link}")).collect();
+    screen::warn(quiet, &warnings);
     dataset.self_filter = Some(filter);
     Ok(())
 }
@@ -63,7 +63,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     outcome.summary.warnings.extend(found.map(|found| {
         format!(
             "the nominal mount was found from {} matches in {} pairs of images ({:.2} px from their epipolar lines in the median); \
-             the rig's own stood {:.0} mm and {:.1} deg off",
+             the rig's own was {:.0} mm and {:.1} deg off",
             found.matches, found.pairs, found.median_sampson_px, found.shifted_by_mm, found.turned_by_deg
         )
     }));
@@ -216,7 +216,7 @@ pub fn show(summary: &Summary) {
     if let Some(rank) = calibration.rank {
         say!("{rank} of {} free parameters are seen by the data", calibration.free);
         if calibration.arm && matches!(summary.configuration.free, Free::Auto | Free::With(..)) {
-            say!("Held, as no image tells: base about and along axis 1; flange about and along the last");
+            say!("Held, not identifiable: base about and along axis 1; flange about and along the last");
         }
     }
     for reason in &calibration.not_identifiable {

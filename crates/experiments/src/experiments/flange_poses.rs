@@ -1,7 +1,7 @@
 //! Flange poses of a controller whose arm is wrong: is the mount found by default as well as by `--free mount`, and is its sigma honest?
 //!
 //! `cargo run --release -p skclam-experiments -- flange-poses [--cells N]`. Images are taken by a perturbed arm; `postures.csv` holds the *nominal*
-//! arm's flange poses. Two truths stand side by side: the mount of the true arm, and the one that fits the true camera poses best to the controller's flange poses,
+//! arm's flange poses. Two truths are compared: the mount of the true arm, and the one that fits the true camera poses best to the controller's flange poses,
 //! which no method can beat.
 
 use crate::cells::{Cell, CellOptions};
@@ -116,7 +116,7 @@ fn both(cell: &Cell, no_depth: bool) -> Result<(Isometry3<f64>, Judged, Judged)>
     Ok((best, judged(Free::Auto)?, judged(Free::parse("mount", &dataset.rig)?)?))
 }
 
-/// The recording with what the controller, which believes in the nominal arm, says of the flange.
+/// The recording with what the controller, which uses the nominal arm, says of the flange.
 fn controllers_view(cell: &Cell, no_depth: bool) -> Result<Dataset> {
     let mut dataset = cell.dataset.clone();
     for record in &mut dataset.records {

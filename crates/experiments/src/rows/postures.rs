@@ -110,7 +110,7 @@ fn sagging(cell: &Cell) -> Result<Variant> {
     behaving_otherwise(cell, |values| Ok(corrections.encoder_values(arm, values)?))
 }
 
-/// Every joint stands `0.1 deg sin(2 q)` beyond its encoder, in turns to either side.
+/// Every joint is `0.1 deg sin(2 q)` beyond its encoder, alternately to either side.
 fn geared(cell: &Cell) -> Result<Variant> {
     const DEGREES: f64 = 0.1;
     let beyond = |joint: usize, q: f64| {
@@ -123,7 +123,7 @@ fn geared(cell: &Cell) -> Result<Variant> {
     })
 }
 
-/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that stood a little otherwise would have
+/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that was a little elsewhere would have
 /// taken the same images. Postures at which there is no such arm are left out.
 fn slipped(cell: &Cell) -> Result<Variant> {
     const DEGREES: f64 = 0.2;
@@ -148,7 +148,7 @@ fn slipped(cell: &Cell) -> Result<Variant> {
         variant.truth.cameras.push(*camera);
         variant.records.push(record);
     }
-    ensure!(variant.records.len() > POSTURES * 3 / 4, "too many postures stand in singular places");
+    ensure!(variant.records.len() > POSTURES * 3 / 4, "too many postures are singular");
     Ok(variant)
 }
 

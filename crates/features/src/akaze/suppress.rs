@@ -126,7 +126,7 @@ mod tests {
     fn the_strongest_of_a_neighbourhood_stays() {
         let levels = levels(200, 200, &AkazeOptions::default());
         let mut maxima = LevelMaxima::default();
-        // A chain: 3 beats 2, and 1 stands far enough from 3.
+        // A chain: 3 beats 2, and 1 is far enough from 3.
         let chain = [candidate(50, 50, 1.0), candidate(52, 50, 2.0), candidate(54, 50, 3.0)];
         maxima.fill(&rows(&chain, &levels[0]), &levels[0]);
         assert_eq!(maxima.kept.points.iter().map(|p| p.response).collect::<Vec<_>>(), [1.0, 3.0]);

@@ -18,7 +18,7 @@ pub struct BoardOptions {
     pub smoothing_px: f64,
     /// How often the image is halved at most; strongly blurred boards are found in small images.
     pub levels: u32,
-    /// A board with fewer corners in view is not told.
+    /// A board with fewer corners in view is not reported.
     pub min_corners: usize,
     /// Half the window within which a corner's print is aligned with the image, in sides of a square.
     pub window: f64,

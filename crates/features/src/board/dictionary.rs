@@ -125,7 +125,7 @@ fn turned_back(bits: u64, side: usize) -> u64 {
     let last = side * side - 1;
     let bit = |row: usize, column: usize| bits >> (last - (row * side + column)) & 1;
     (0..side).flat_map(|row| (0..side).map(move |column| (row, column))).fold(0, |turned, (row, column)| {
-        // What stands at (row, column) after the turn stood in column `side - 1 - row`, row `column` before.
+        // What is at (row, column) after the turn was in column `side - 1 - row`, row `column` before.
         turned << 1 | bit(column, side - 1 - row)
     })
 }

@@ -10,7 +10,7 @@
 //! 4. Corners are refined to about a hundredth of a pixel (`pattern`): the print about each, seen in the perspective of
 //!    its neighbours, is aligned with the image.
 //! 5. Columns and rows are counted (`labelling`). The markers of a ChArUco board name them; on a checkerboard the size
-//!    and the colours may leave several ways, and all are told.
+//!    and the colours may leave several labellings, and all are returned.
 //! 6. Corners that lie on no plane, bent as a lens would bend it, are no board's (`plane`); what they scatter about it
 //!    is in their sigma.
 

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 pub(super) const MIN_REACH_PX: f64 = 4.0;
 /// Points compared, each way.
 const POINTS: (usize, usize) = (9, 25);
-/// Steps of the alignment at most, and when it stands still, px.
+/// Steps of the alignment at most, and when it has converged, px.
 const ROUNDS: usize = 12;
 const STILL_PX: f64 = 1e-3;
 /// A print is not aligned farther than this from where it starts, px or squares, whichever is more.

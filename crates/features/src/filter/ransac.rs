@@ -2,7 +2,7 @@
 //!
 //! Fischler and Bolles 1981; the loss is that of MSAC (Torr and Zisserman 2000); after each better sample the matrix is
 //! fitted again to its inliers (Chum, Matas, Kittler 2003). Planes and pure rotations do not determine F, yet their
-//! points satisfy every member of the family that remains: matches are still told from outliers, the matrix is then one
+//! points satisfy every member of the family that remains: matches are still separated from outliers, the matrix is then one
 //! of many and [`FundamentalFit::homography_inliers`] says so.
 
 use super::epipolar::check_positions;

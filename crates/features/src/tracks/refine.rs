@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// What is predicted of the change from the patch at an observation (the reference) to the patch at another one.
 pub trait WarpPrediction: Sync {
     /// The linear part, to start from: a small offset `d` in the first image becomes `M d` in the second. `None` where
-    /// nothing is predicted: then sizes and orientations of the keypoints tell it.
+    /// nothing is predicted: then sizes and orientations of the keypoints give it.
     fn linear(&self, _reference: Observation, _observation: Observation) -> Option<Matrix2<f64>> {
         None
     }
@@ -327,7 +327,7 @@ mod tests {
         }
         let failing = |image| Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: 0 });
         assert!(refine_tracks_in_windows(&tracks, &lists, 2, failing, None, &options).is_err());
-        // A prediction that is nonsense is used, and tells.
+        // A prediction that is nonsense is used, and shows.
         struct Nonsense;
         impl WarpPrediction for Nonsense {
             fn linear(&self, _: Observation, _: Observation) -> Option<Matrix2<f64>> {

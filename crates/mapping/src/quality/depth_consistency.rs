@@ -24,7 +24,7 @@ pub struct DepthConsistencyOptions {
     pub stride: usize,
     /// Pairs with fewer points in common do not overlap.
     pub min_points: usize,
-    /// Of the points taken, every how many along each axis is told one by one in [`DepthConsistency::samples`]; 0 for none.
+    /// Of the points taken, every how many along each axis is listed one by one in [`DepthConsistency::samples`]; 0 for none.
     pub sample_every: usize,
 }
 
@@ -99,7 +99,7 @@ pub fn depth_consistency(views: &[View<'_>], options: &DepthConsistencyOptions) 
         taken.push(points_in_base(view, rays, options));
     }
     let mut samples = Samples::new(views, &taken, options);
-    // Distances by pair; the pair (i, j) with i < j stands at i * n + j.
+    // Distances by pair; the pair (i, j) with i < j is at i * n + j.
     let mut distances: Vec<Vec<f32>> = vec![Vec::new(); views.len() * views.len()];
     for (target, view) in views.iter().enumerate() {
         let surface = Target::new(view, rays_of(&mut rays, view), options);
@@ -129,7 +129,7 @@ pub fn depth_consistency(views: &[View<'_>], options: &DepthConsistencyOptions) 
     Ok(DepthConsistency { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9), samples })
 }
 
-/// The points that are told one by one, and the distances found for them so far.
+/// The points that are listed one by one, and the distances found for them so far.
 struct Samples {
     /// View by view, places in the list of its points.
     places: Vec<Vec<usize>>,
@@ -260,8 +260,8 @@ mod tests {
         assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
         assert_eq!(gaps.median_m, Some(pair.median_m));
         assert!(gaps.samples.is_empty());
-        let told = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
-        let samples = depth_consistency(&[first, second, away], &told).unwrap().samples;
+        let options = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
+        let samples = depth_consistency(&[first, second, away], &options).unwrap().samples;
         assert_eq!(samples.len(), 3 * 10 * 8, "every twelfth pixel along each axis");
         for sample in &samples {
             assert!(sample.median_m.is_none_or(|median_m| (median_m - 0.007).abs() < 1e-4), "{sample:?}");

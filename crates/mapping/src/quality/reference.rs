@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::Point3;
 
-/// Distances at which shares and F-scores are told, metres.
+/// Distances at which fractions and F-scores are reported, metres.
 pub const SCORE_THRESHOLDS_M: [f64; 3] = [0.005, 0.010, 0.020];
 
 /// Most samples of a surface: more say nothing more.

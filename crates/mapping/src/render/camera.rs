@@ -40,7 +40,7 @@ pub struct RenderCamera {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ViewPreset {
-    /// Against the x axis: what stands before the robot is nearest.
+    /// Against the x axis: what is in front of the robot is nearest.
     Front,
     /// Along the x axis, from behind the robot.
     Back,

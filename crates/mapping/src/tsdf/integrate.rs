@@ -18,7 +18,7 @@ struct Update<'a> {
     pixels: &'a [Pixel],
     projector: Projector,
     width: i32,
-    /// Where the pixel stands that knows nothing.
+    /// Where the pixel without information is.
     nothing: i32,
     /// From the first voxel of a layer to each of its voxels, x, y, z in the depth camera's frame.
     within_layer: [[f32; LAYER]; 3],

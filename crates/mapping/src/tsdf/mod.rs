@@ -121,7 +121,7 @@ pub struct Integration {
 pub struct Tsdf {
     options: TsdfOptions,
     buffers: FrameBuffers,
-    /// Where a block stands in `blocks`.
+    /// Where a block is in `blocks`.
     index: VoxelMap<u32>,
     keys: Vec<VoxelKey>,
     blocks: BlockStore,

@@ -99,7 +99,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
         Some(format!("{}\u{2013}{}", indices.first()?, indices.last()?))
     };
     let names: Vec<String> = folds.iter().map(|fold| name(fold).unwrap_or_default()).collect();
-    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    // Points and no bars: a logarithmic axis has no zero for a bar to start from.
     let trace = |label: &str, field: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["metric_px"][field].as_f64()).collect();
         y.iter().any(Option::is_some).then(|| {
@@ -245,7 +245,7 @@ fn arrows(
     let usual = lengths.get(lengths.len() * 9 / 10).copied().unwrap_or_default();
     let scale = magnification(cell / usual.max(1e-9));
     let (mut x, mut y) = (Vec::<Value>::new(), Vec::<Value>::new());
-    let (mut tip_x, mut tip_y, mut angles, mut told) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut tip_x, mut tip_y, mut angles, mut labels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for found in cells {
         let ([cx, cy], [dx, dy]) = (found.center_px, of(found));
         let (ex, ey) = (cx + scale * dx, cy + scale * dy);
@@ -255,7 +255,7 @@ fn arrows(
         tip_y.push(round(ey));
         // Of a marker, clockwise from up; rows grow downwards.
         angles.push(round(dx.atan2(-dy).to_degrees()));
-        told.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
+        labels.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
     }
     let factor = crate::charts::number(scale, Digits::Significant(1));
     Chart {
@@ -273,7 +273,7 @@ fn arrows(
         description: format!("Arrows of the median residual over the image, {name}"),
         data: json!([
             {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": {"color": color, "width": 1.5}, "hoverinfo": "skip", "showlegend": false},
-            {"type": "scatter", "mode": "markers", "x": tip_x, "y": tip_y, "text": told, "showlegend": false,
+            {"type": "scatter", "mode": "markers", "x": tip_x, "y": tip_y, "text": labels, "showlegend": false,
              "marker": {"color": color, "symbol": "arrow", "size": 6, "angle": angles}, "hovertemplate": "%{text}<extra></extra>"},
         ]),
         layout: json!({

@@ -7,7 +7,7 @@ use super::jpeg_blocks;
 use image::{DynamicImage, GenericImageView};
 use std::io::{self, BufRead};
 
-/// Marker codes that stand alone, without a length: TEM and the restart markers.
+/// Marker codes without a length: TEM and the restart markers.
 fn stands_alone(code: u8) -> bool {
     matches!(code, 0x01 | 0xD0..=0xD7)
 }

@@ -1,7 +1,7 @@
 //! A dataset is a folder: `rig.toml`, `postures.csv`, colour images and depth images.
 //!
 //! Opening one reads the rig and the table and looks at the header of every image, so that what is wrong with a folder
-//! is told before any work is done. Pixels are decoded when they are asked for.
+//! is reported before any work is done. Pixels are decoded when they are asked for.
 
 mod error;
 mod images;
@@ -123,7 +123,7 @@ impl Dataset {
         self.check_joint_columns(&table)?;
         for (row, record) in self.records.iter().enumerate() {
             for image in [Some(&record.color), record.depth.as_ref()].into_iter().flatten() {
-                // Whether it can be read is told when its header is.
+                // Whether it can be read is found out when its header is.
                 let Err(error) = skclam_files::inside(&self.folder, image) else { continue };
                 let index = record.posture.index;
                 let problem = match error.kind() {

@@ -41,7 +41,7 @@ pub struct Agreement {
     pub samples: Vec<AgreementSample>,
 }
 
-/// Points that are told one by one, at about the most.
+/// Points that are listed one by one, roughly at most.
 const SAMPLES: usize = 60_000;
 /// Depth images that are compared at the most, evenly over the recording; the cost grows with the square.
 const COMPARED: usize = 120;

@@ -27,7 +27,7 @@ pub struct BoardSummary {
     pub not_found: Vec<u64>,
     /// Of postures where it could be counted in several ways that are about as likely; they were left out.
     pub ambiguous: Vec<u64>,
-    /// RMS distance of all corners to where they should be under the nominal rig as it stands, px.
+    /// RMS distance of all corners to where they should be under the nominal rig, px.
     pub nominal_rms_px: Option<f64>,
     /// The same under the nominal arm with the mount fitted to the board: what a calibration of the arm must beat.
     pub mount_fitted_rms_px: Option<f64>,
@@ -42,10 +42,10 @@ const CLEARLY_NEARER: f64 = 2.0;
 /// Postures whose ways to count are tried as the one that is right.
 const TRIED: usize = 40;
 
-/// Part of the postures that must show the board for it to stand alone.
+/// Part of the postures that must show the board for it to be used alone.
 const NEARLY_ALL: f64 = 0.9;
 
-/// Whether the board is heard alone.
+/// Whether the board is used alone.
 ///
 /// Corners are named beyond doubt and known to a few hundredths of a pixel. Natural features of a scene that was arranged for a board are
 /// few and short-lived; on the one real recording at hand they made the fit worse (benchmarks/estimator, 2026-11-23-board). They are wanted where the board is
@@ -149,7 +149,7 @@ fn count_alike(
     if clear.len() == seen || clear.len() < 3 {
         return Ok(first);
     }
-    // A rough mount blurs the place. Those that are clear tell the mount, and that the place of the others.
+    // A rough mount blurs the place. Those that are clear give the mount, and that the place of the others.
     let boards = clear
         .iter()
         .filter_map(|&posture| {
@@ -248,29 +248,29 @@ impl BoardSummary {
         Ok(())
     }
 
-    /// What a person should hear of.
+    /// What a user should know.
     pub(crate) fn warnings(&self, board: &Board) -> Vec<String> {
         let list = |indices: &[u64]| indices.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
         let size = format!("{} x {} inner corners", board.columns, board.rows);
-        let mut told = Vec::new();
+        let mut warnings = Vec::new();
         if self.postures == 0 && self.ambiguous.is_empty() {
-            told.push(format!(
+            warnings.push(format!(
                 "the board of the rig ({size}) was found in no image: are columns and rows its inner corners (one less than its squares), \
-                 is its kind right, does the whole of it show, sharp and without glare? Without it its lengths are not heard"
+                 is its kind right, does the whole of it show, sharp and without glare? Without it its lengths are not used"
             ));
-            return told;
+            return warnings;
         }
         if !self.not_found.is_empty() {
-            told.push(format!("no board of {size} was found in postures {}", list(&self.not_found)));
+            warnings.push(format!("no board of {size} was found in postures {}", list(&self.not_found)));
         }
         if !self.ambiguous.is_empty() {
-            told.push(format!(
+            warnings.push(format!(
                 "postures {}: which corner of the board is which is not clear (a part is out of view, or it looks the same when turned); \
                  its corners were left out there. A ChArUco board has no such doubt",
                 list(&self.ambiguous)
             ));
         }
-        told
+        warnings
     }
 }
 

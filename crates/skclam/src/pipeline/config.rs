@@ -1,4 +1,4 @@
-//! Everything that can be set in a run. The values that were in force stand in every `summary.json`.
+//! Everything that can be set in a run. The values that were in force are in every `summary.json`.
 
 use super::{HeldOutOptions, Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
@@ -21,14 +21,14 @@ pub enum Estimator {
     Bundle,
 }
 
-/// What is heard where the rig has a board.
+/// What is used where the rig has a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BoardUse {
-    /// The board alone where (nearly) every posture shows it and there is no depth to hear; together elsewhere.
+    /// The board alone where (nearly) every posture shows it and there is no depth to use; together elsewhere.
     #[default]
     Auto,
-    /// Corners of the board alone; what postures do not show it tell nothing.
+    /// Corners of the board alone; postures that do not show it contribute nothing.
     Alone,
     /// Corners and natural features.
     Together,
@@ -62,7 +62,7 @@ pub struct Config {
     pub refine: Option<RefineOptions>,
     /// Detector of the rig's board.
     pub board: BoardOptions,
-    /// Whether natural features are heard beside the board.
+    /// Whether natural features are used beside the board.
     pub board_use: BoardUse,
     /// Which estimator.
     pub estimator: Estimator,
@@ -128,7 +128,7 @@ impl Config {
         }
     }
 
-    /// These settings with every key replaced that a JSON text gives; a whole `summary.json` stands for its `configuration`.
+    /// These settings with every key replaced that a JSON text gives; of a whole `summary.json` its `configuration` is taken.
     ///
     /// # Errors
     /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting.

@@ -25,7 +25,7 @@ pub struct MapCoverage {
     pub depth_without_value: f64,
 }
 
-/// Edge of a cell, metres: what an arm's links do not pass through unseen.
+/// Edge of a cell, metres: what an arm's links do not pass through without touching it.
 const CELL_M: f64 = 0.05;
 /// Depth images that are looked at at the most, evenly over the recording.
 const MAX_IMAGES: usize = 120;

@@ -31,7 +31,7 @@ impl Default for HeldOutOptions {
 pub struct FoldSummary {
     /// The recording's indices of the held-out postures.
     pub postures: Vec<u64>,
-    /// Their residuals, px; what they are stands in [`HeldOutSummary::metric`].
+    /// Their residuals, px; [`HeldOutSummary::metric`] says of which kind.
     pub metric_px: Rigs<f64>,
 }
 

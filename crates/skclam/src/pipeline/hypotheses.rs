@@ -2,8 +2,8 @@
 //! images then say decides.
 //!
 //! Matches are gathered anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
-//! is held against the turns of the camera that the matches of single pairs tell ([`screening`]: microseconds each);
-//! the most promising ones, and the data as they stand, get the mount that fits them best, found from nothing
+//! is compared with the camera rotations that the matches of single pairs give ([`screening`]: microseconds each);
+//! the most promising ones, and the unchanged data, get the mount that fits them best, found from nothing
 //! ([`find_mount`]), and are compared by the median Sampson distance of the same matches. A mistake is named only where
 //! undoing it is better by a clear factor, and better than anything else.
 
@@ -44,7 +44,7 @@ pub enum GrossCause {
         /// Which.
         joint: usize,
     },
-    /// The values of two joints stand in each other's column.
+    /// The values of two joints are in each other's column.
     JointsSwapped {
         /// The first.
         a: usize,
@@ -55,7 +55,7 @@ pub enum GrossCause {
     DegreesForRadians,
     /// The columns say degrees and the values are radians.
     RadiansForDegrees,
-    /// The image of a row belongs to the posture that stands so many rows further down (above, where negative).
+    /// The image of a row belongs to the posture that is so many rows further down (above, where negative).
     PosturesShifted {
         /// Rows.
         by: i64,
@@ -86,7 +86,7 @@ pub enum GrossCause {
 pub struct GrossFinding {
     /// Which.
     pub cause: GrossCause,
-    /// Median Sampson distance of the matches with the data as they stand, the mount fitted (but for
+    /// Median Sampson distance of the matches with the unchanged data, the mount fitted (but for
     /// [`GrossCause::MountFarOff`]: with the rig's), px; `None` where no mount fits at all.
     pub before_px: Option<f64>,
     /// The same with the mistake undone and the mount fitted; where no mistake was found, of the best hypothesis; for
@@ -126,7 +126,7 @@ const INCONSISTENT: (f64, f64) = (3.0, 1.0);
 /// The angles of an arm that is no other one are within a few of these, degrees.
 const OWN_ARM_DEG: f64 = 1.0;
 
-/// Names the gross mistake that explains why the rig does not explain the images; `None` where the data as they stand
+/// Names the gross mistake that explains why the rig does not explain the images; `None` where the unchanged data
 /// are explained with another calibration of the same rig, or where too few images have anything in common.
 ///
 /// Called when an estimate explains nothing; asked of a good data set it says `None`, too. Deterministic; seconds.

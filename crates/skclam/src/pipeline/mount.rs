@@ -42,7 +42,7 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
     let mut chosen: Vec<ImagePair> = (0..images.len()).flat_map(all).collect();
     let stride = chosen.len().div_ceil(PAIRS).max(1);
     chosen = chosen.into_iter().step_by(stride).collect();
-    // No gate: it would be one about the wrong lines. RANSAC alone tells which pairs see the same.
+    // No gate: it would be one about the wrong lines. RANSAC alone decides which pairs see the same.
     let free = Config {
         search: Search::Exhaustive,
         epipolar_gate_deg: None,

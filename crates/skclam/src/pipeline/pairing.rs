@@ -24,9 +24,9 @@ pub struct PairingOptions {
     pub max_neighbors: usize,
     /// Least predicted overlap: the part of an image that the other shows too.
     pub min_overlap: f64,
-    /// Largest angle between the viewing directions of what both see, degrees: descriptors do not stand more.
+    /// Largest angle between the viewing directions of what both see, degrees: descriptors do not survive more.
     pub max_view_angle_deg: f64,
-    /// Range of depths tried where no depth image tells, metres.
+    /// Range of depths tried where there is no depth image, metres.
     pub assumed_depth_m: [f64; 2],
 }
 

@@ -12,12 +12,12 @@ use skclam_geometry::{Isometry3, PinholeCamera, Pixel, Point3};
 
 /// Step of the differences, px: about the sigma of the window in which patches are aligned.
 const STEP_PX: f64 = 6.0;
-/// What the found linear part is believed to, mostly since the nominal rig's rotations are off: the noise beside the
+/// What the found linear part is trusted to, mostly since the nominal rig's rotations are off: the noise beside the
 /// slant's own spread.
 const LINEAR_SIGMA: f64 = 0.02;
 /// Spread of slants, `g / w`: a surface at 45 degrees has 1.
 const SLANT_SIGMA: f64 = 0.7;
-/// Rays that meet at less than this angle tell no depth, rad.
+/// Rays that meet at less than this angle give no depth, rad.
 const MIN_PARALLAX: f64 = 0.02;
 
 /// Predicts from the nominal poses, the camera, and depths where they were measured.

@@ -12,9 +12,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
 
 /// The window reaches so many pixels from its centre. A larger one averages more, but what neighbours have in common it
-/// cannot, and steps too small to be told from noise bend its plane at more of the features.
+/// cannot, and steps too small to be distinguished from noise bend its plane at more of the features.
 const HALF_WINDOW: i64 = 1;
-/// The window that a slope is read from: nine readings would tell it only to `0.4 s f z^2` (noise `s z^2`, focal length `f` of the depth camera), 81 tell it nine times better.
+/// The window that a slope is read from: nine readings would give it only to `0.4 s f z^2` (noise `s z^2`, focal length `f` of the depth camera), 81 give it nine times better.
 const SLOPE_HALF_WINDOW: i64 = 4;
 /// Least part of a window's pixels with a value.
 const MIN_READINGS: f64 = 0.75;
@@ -38,7 +38,7 @@ pub struct DepthSample {
     /// Standard deviation relative to that of a single reading of the image: the fit averages what neighbours do not
     /// have in common.
     pub relative_sigma: f64,
-    /// How z-depth changes with the normalised coordinates x and y of the colour image, m; `None` where a window that is wide enough to tell it well meets
+    /// How z-depth changes with the normalised coordinates x and y of the colour image, m; `None` where a window that is wide enough to determine it well meets
     /// more than one plane.
     pub slope_m: Option<[f64; 2]>,
 }
@@ -175,7 +175,7 @@ impl<'a> RegisteredDepth<'a> {
         Some(Window { centre, half, inverse_depth: plane.x, by_pixel: plane.yz(), cofactors })
     }
 
-    /// Whether the readings lie on their plane as far as the noise lets one tell.
+    /// Whether the readings lie on their plane as far as the noise allows to say.
     fn is_whole(&self, window: &Window) -> bool {
         // A count of the image is one step of depth, whose inverse is coarser the nearer.
         let rounding = self.depth_camera.unit_m * window.inverse_depth.powi(2) / 12f64.sqrt();

@@ -45,7 +45,7 @@ pub struct Validation {
     pub depth_agreement: Option<Rigs<SurfaceAgreement>>,
     /// Reprojection posture by posture, where the rig under test fits worst first.
     pub by_posture: Vec<PostureMetric>,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<String>,
 }
 

@@ -31,7 +31,7 @@ pub struct MapSamples {
 }
 
 /// Grey for pixels that the colour camera does not see.
-const UNSEEN: [u8; 3] = [128, 128, 128];
+const UNOBSERVED: [u8; 3] = [128, 128, 128];
 
 /// Colours the points and packs them. `found_mask` is 0 where the colour camera sees what moves with it: such points are left out.
 pub fn sample_map(
@@ -66,7 +66,7 @@ pub fn sample_map(
             Ok(group
                 .iter()
                 .map(|sample| match of_pixel(sample.pixel) {
-                    None => Some(UNSEEN),
+                    None => Some(UNOBSERVED),
                     Some((x, y)) => {
                         let (x, y) = (x.min(image.width() - 1), y.min(image.height() - 1));
                         let hidden = mask.is_some_and(|mask| mask.get_pixel(x, y).0[0] == 0);

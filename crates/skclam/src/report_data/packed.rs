@@ -4,7 +4,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 
-/// A list of numbers: base64 of their little-endian bytes. The type is told by the field that holds it.
+/// A list of numbers: base64 of their little-endian bytes. The type follows from the field that holds it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Packed(pub String);

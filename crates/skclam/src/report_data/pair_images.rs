@@ -161,7 +161,7 @@ fn bent(line: &EpipolarLine, camera: &PinholeCamera, scale: f64) -> Vec<[f64; 2]
     if camera.is_distorted() || points.len() < 2 {
         return points;
     }
-    // Without distortion it is straight, and its ends tell it.
+    // Without distortion it is straight, and its endpoints define it.
     vec![points[0], points[points.len() - 1]]
 }
 

@@ -1,5 +1,5 @@
 //! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by posture and by pair; and by place
-//! in the image, where observations stand beside the projections of their points. Where no pair was heard (a board alone), histogram and postures are of
+//! in the image, where observations are beside the projections of their points. Where no pair was used (a board alone), histogram and postures are of
 //! the observations too. Every metric is over all of them, none is drawn at random.
 
 use super::rounded;

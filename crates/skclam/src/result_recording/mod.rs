@@ -14,7 +14,7 @@
 //! | `/trajectory_lines` | `foxglove.SceneUpdate` | at the start: nominal red, calibrated green |
 //! | `/map`, `/nominal/map` | `foxglove.PointCloud` | at the start |
 //!
-//! A posture without a time stands at its index in seconds. Postures are written one by one: memory holds one image, one map, and the
+//! A posture without a time gets its index in seconds. Postures are written one by one: memory holds one image, one map, and the
 //! matches of the residuals.
 
 mod messages;

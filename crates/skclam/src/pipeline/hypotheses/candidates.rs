@@ -13,7 +13,7 @@ const MAX_SHIFT: i64 = 5;
 /// A data set as it would be without the mistake.
 #[derive(Debug, Clone)]
 pub(super) struct Candidate {
-    /// `None`: as it stands.
+    /// `None`: unchanged.
     pub cause: Option<GrossCause>,
     /// The rig; the mount is not looked at.
     pub rig: Rig,
@@ -22,7 +22,7 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// The data set as it stands.
+    /// The unchanged data set.
     pub fn nominal(dataset: &Dataset) -> Self {
         let postures = dataset.records.iter().map(|record| Some(record.posture.clone())).collect();
         Candidate { cause: None, rig: dataset.rig.clone(), postures }

@@ -15,9 +15,9 @@ use skclam_geometry::{Isometry3, Pixel, Point3};
 /// Depth images that are shifted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DepthShift {
-    /// The depth image of a posture stands so many rows further down (above, where negative).
+    /// The depth image of a posture is so many rows further down (above, where negative).
     pub by: i64,
-    /// How far depths scatter about what the images say, as the rows stand: median of the relative error about its own
+    /// How far depths scatter about what the images say, with the rows unchanged: median of the relative error about its own
     /// median, percent.
     pub before_percent: f64,
     /// The same with the depth images at their rows, percent.

@@ -14,7 +14,7 @@ use skclam_geometry::{PinholeCamera, Pixel};
 
 /// The strongest keypoints of an image that are matched.
 const KEYPOINTS: usize = 800;
-/// The strongest keypoints of an image that tell how much two images share.
+/// The strongest keypoints of an image that show how much two images have in common.
 const SKETCH: usize = 150;
 /// Pairs whose shared descriptors are counted at the most, evenly over all.
 const MAX_COMPARED: usize = 2500;

@@ -24,7 +24,7 @@ const MIN_IN_FRONT: f64 = 0.7;
 pub(super) struct RelativeRotation {
     /// `camera_a_from_camera_b`, the best first.
     pub candidates: Vec<UnitQuaternion<f64>>,
-    /// Median Sampson distance with the intrinsics as they stand, px.
+    /// Median Sampson distance with the unchanged intrinsics, px.
     pub calibrated_px: f64,
     /// Median Sampson distance of the fundamental matrix, which needs no intrinsics, px.
     pub uncalibrated_px: f64,
