@@ -106,7 +106,7 @@ fn tracked(
     sensing: Sensing,
 ) -> Scene {
     let (mut kept, mut tracks) = (Vec::new(), Vec::new());
-    // One point at a time, so that tracks and points stay together; the limit a picture is met by the number of points.
+    // One point at a time, so that tracks and points stay together; the limit an image is met by the number of points.
     for point in points {
         let one = synthetic::record(&truth, &postures, &[*point], silent, &mut seeded(0));
         if let Some(track) = one.tracks.into_iter().next() {
@@ -309,7 +309,7 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
                 }
             }
         }
-        let inverse = own.try_inverse().expect("a point that two pictures fix");
+        let inverse = own.try_inverse().expect("a point that two images fix");
         for (i, a) in &coupling {
             let y = inverse * a;
             for (j, b) in &coupling {

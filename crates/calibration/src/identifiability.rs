@@ -55,7 +55,7 @@ pub enum UnobservableCause {
     BaseGauge,
     /// It is the mount's by another name.
     ToolGauge,
-    /// Every length grows together.
+    /// All lengths scale together.
     Scale,
     /// Neighbouring axes are parallel.
     ParallelAxes,
@@ -219,7 +219,7 @@ fn others(names: &[String], parameter: &Parameter) -> String {
 
 /// Whether the direction makes every length grow by the same factor and turns nothing.
 fn is_scale(direction: &DVector<f64>, model: &Model, parameters: &[Parameter]) -> bool {
-    let growth = DVector::from_iterator(
+    let scaling = DVector::from_iterator(
         parameters.len(),
         parameters.iter().map(|&parameter| {
             let value = match parameter {
@@ -234,7 +234,7 @@ fn is_scale(direction: &DVector<f64>, model: &Model, parameters: &[Parameter]) -
         }),
     );
     // Base-end and hand-end lengths may have been eliminated from the direction, so compare where it speaks.
-    let masked = growth.zip_map(direction, |g, d| if d == 0.0 { 0.0 } else { g });
+    let masked = scaling.zip_map(direction, |g, d| if d == 0.0 { 0.0 } else { g });
     let (a, b) = (masked.norm(), direction.norm());
     a > 0.0 && b > 0.0 && (masked.dot(direction) / (a * b)).abs() > 0.98
 }

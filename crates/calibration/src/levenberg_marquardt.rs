@@ -1,4 +1,4 @@
-//! The damped descent that both least-squares estimators share.
+//! The damped minimisation that both least-squares estimators use.
 //!
 //! Marquardt's damping by the diagonal of the normal matrix, driven by the ratio of gained to predicted cost (Madsen, Nielsen and Tingleff, "Methods for
 //! non-linear least squares problems", 2004, section 3.2). What a step is, and what it costs, is the caller's.
@@ -6,9 +6,9 @@
 use crate::{CalibrationError, Parameter, StopReason};
 use nalgebra::{DMatrix, DVector};
 
-/// When the descent stops.
+/// When the minimisation stops.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct DescentLimits {
+pub(crate) struct MinimizationLimits {
     pub max_iterations: usize,
     /// Relative change of the cost.
     pub cost_tolerance: f64,
@@ -30,7 +30,7 @@ pub(crate) struct Proposal<S> {
     pub predicted: f64,
 }
 
-/// Where the descent ended.
+/// Where the minimisation ended.
 pub(crate) struct Minimization<S> {
     pub state: S,
     pub cost: f64,
@@ -49,10 +49,10 @@ const GREATEST_DAMPING: f64 = 1e10;
 const SINGULAR_DAMPING: f64 = 1.0;
 
 /// Descends from `state`. `propose(state, damping)` solves for a step and evaluates it.
-pub(crate) fn descend<S>(
+pub(crate) fn minimize<S>(
     mut state: S,
     mut cost: f64,
-    limits: DescentLimits,
+    limits: MinimizationLimits,
     mut propose: impl FnMut(&S, f64) -> Result<Proposal<S>, CalibrationError>,
 ) -> Result<Minimization<S>, CalibrationError> {
     let mut damping = FIRST_DAMPING;
@@ -179,8 +179,8 @@ mod tests {
         let cost = |x: &DVector<f64>| 0.5 * residuals(x).norm_squared();
         let start = DVector::from_vec(vec![-1.2, 1.0]);
         let limits =
-            DescentLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12, sigma_tolerance: 0.0 };
-        let result = descend(start.clone(), cost(&start), limits, |x, damping| {
+            MinimizationLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12, sigma_tolerance: 0.0 };
+        let result = minimize(start.clone(), cost(&start), limits, |x, damping| {
             let jacobian = DMatrix::from_row_slice(2, 2, &[-1.0, 0.0, -20.0 * x[0], 10.0]);
             let (h, g) = (jacobian.transpose() * &jacobian, -jacobian.transpose() * residuals(x));
             let step = damped_solve(&h, &g, &[], damping)?;

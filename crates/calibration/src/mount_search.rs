@@ -28,7 +28,7 @@ struct Stage {
 const STAGES: [Stage; 2] =
     [Stage { matches: 400, iterations: 8, kept: 20 }, Stage { matches: 1500, iterations: 15, kept: 3 }];
 
-/// Finds `flange_from_color` from pair matches alone; the rig's own mount is not looked at. The arm stays nominal.
+/// Finds `flange_from_color` from pair matches alone; the rig's own mount is ignored. The arm stays nominal.
 pub fn find_mount(nominal: &Rig, data: &Correspondences) -> Result<Calibration, CalibrationError> {
     data.check()?;
     let options = PairwiseOptions {

@@ -9,7 +9,7 @@ use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
 use crate::identifiability::identify;
 use crate::levenberg_marquardt::{
-    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    MinimizationLimits, Minimization, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::pairwise_system::{Linearized, PairwiseSystem};
 use crate::prior::Priors;
@@ -117,7 +117,7 @@ impl Problem<'_> {
         Ok(system.cost(model, round.loss, round.sigma)? + self.priors.cost(self.nominal, model, self.parameters))
     }
 
-    fn descend(
+    fn minimize(
         &self,
         system: &PairwiseSystem<'_>,
         model: &Model,
@@ -125,7 +125,7 @@ impl Problem<'_> {
         max_iterations: usize,
         effort: &mut Effort,
     ) -> Result<Minimization<Model>, CalibrationError> {
-        let limits = DescentLimits {
+        let limits = MinimizationLimits {
             max_iterations,
             cost_tolerance: self.tolerance,
             step_tolerance: 1e-10,
@@ -142,7 +142,7 @@ impl Problem<'_> {
         let mut left = prepare(model)?;
         let mut tried: Option<Prepared> = None;
         let cost = left.cost;
-        let minimization = descend(model.clone(), cost, limits, |state, damping| {
+        let minimization = minimize(model.clone(), cost, limits, |state, damping| {
             if let Some(tried) = tried.take().filter(|tried| tried.state == *state) {
                 left = tried;
             }
@@ -177,7 +177,7 @@ impl Problem<'_> {
         let system = PairwiseSystem::new(&sample, motion, self.parameters);
         let round = Round { loss, sigma: noise_scale(&system.residuals(start)?).max(EXACT_PX) };
         let mut ahead = Effort::default();
-        let minimization = self.descend(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
+        let minimization = self.minimize(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
         effort.iterations += ahead.iterations;
         effort.evaluations += ahead.evaluations;
         Ok(minimization.state)
@@ -200,7 +200,7 @@ impl Problem<'_> {
             let mut scale = coarse_scale(&system.residuals(&model)?);
             for _ in 0..SEARCH_ROUNDS {
                 let round = Round { loss: Loss::Tukey(width), sigma: scale.max(EXACT_PX) };
-                model = self.descend(&system, &model, &round, SEARCH_ITERATIONS, effort)?.state;
+                model = self.minimize(&system, &model, &round, SEARCH_ITERATIONS, effort)?.state;
                 let next = coarse_scale(&system.residuals(&model)?);
                 let settled = (next / scale - 1.0).abs() < 0.05 || next <= EXACT_PX;
                 scale = next;
@@ -288,7 +288,7 @@ pub fn calibrate_pairwise_from(
     let mut round = Round { loss: options.loss, sigma: (sigma * dof).max(EXACT_PX) };
     let initial_cost = problem.cost(&system, start, &round)?;
     let (residuals, reason, final_cost) = loop {
-        let minimization = problem.descend(&system, &model, &round, options.max_iterations, &mut effort)?;
+        let minimization = problem.minimize(&system, &model, &round, options.max_iterations, &mut effort)?;
         model = minimization.state;
         let residuals = system.residuals(&model)?;
         let next = (noise_scale(&residuals) * dof).max(EXACT_PX);

@@ -16,7 +16,7 @@ type Bearings = Vec<(Bearing, Bearing)>;
 
 const WITH_INTRINSICS: usize = 6 + INTRINSICS;
 
-/// Weighted normal matrix and descent direction (the negative gradient) by the parameters, and the sum of the losses.
+/// Weighted normal matrix and right-hand side (the negative gradient) by the parameters, and the sum of the losses.
 pub(crate) struct Linearized {
     pub normal: DMatrix<f64>,
     pub rhs: DVector<f64>,

@@ -57,7 +57,7 @@ pub enum Parameter {
     TransmissionSin(usize),
     /// The same with the cosine.
     TransmissionCos(usize),
-    /// Compliance of a joint: radians it gives way a metre of horizontal lever arm between its axis and the flange.
+    /// Compliance of a joint: radians of deflection per metre of gravity torque arm (horizontal distance between its axis and the flange).
     Compliance(usize),
 }
 
@@ -146,7 +146,7 @@ impl Parameter {
         }
     }
 
-    /// A change that counts as one: 0.01 rad, 1 cm, 10 px, 0.01, 10 ms, 0.001 rad of gear error or a metre of lever arm. It turns steps and
+    /// A change that counts as one: 0.01 rad, 1 cm, 10 px, 0.01, 10 ms, 0.001 rad of gear error or a metre of gravity torque arm. It turns steps and
     /// singular values into comparable numbers.
     pub fn scale(self) -> f64 {
         match self {

@@ -1,4 +1,4 @@
-//! Image-free recordings for tests, examples and benchmarks: an HP3J-like arm in a room of random points.
+//! Image-free recordings for tests, examples and benchmarks: an HP3J-like arm amid random points.
 //!
 //! Included by path, not part of the library: an estimator must not know its truth.
 #![allow(dead_code)]
@@ -156,7 +156,7 @@ pub fn paper_postures(rig: &Rig) -> Vec<Posture> {
         .collect()
 }
 
-/// Points on the walls, floor and ceiling of a room and on boxes around the arm.
+/// Points on the walls, floor and ceiling of a cell and on boxes around the arm.
 pub fn box_points(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point3> {
     (0..count)
         .map(|_| {

@@ -141,7 +141,7 @@ pub struct RunArgs {
     /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from priors.
     #[arg(long)]
     pub no_depth: bool,
-    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is not looked at.
+    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is ignored.
     #[arg(long)]
     pub find_mount: bool,
     /// Another nominal rig than the data set's rig.toml.
@@ -336,8 +336,8 @@ pub struct RenderArgs {
     /// A second map, drawn to the right of the first from the same place.
     #[arg(long, value_name = "MAP", value_hint = ValueHint::FilePath)]
     pub beside: Option<PathBuf>,
-    /// The picture, PNG or JPEG.
-    #[arg(long, short, value_name = "PICTURE", value_hint = ValueHint::FilePath)]
+    /// The image, PNG or JPEG.
+    #[arg(long, short, value_name = "IMAGE", value_hint = ValueHint::FilePath)]
     pub out: PathBuf,
     /// From where.
     #[arg(long, value_enum, default_value = "perspective", conflicts_with_all = ["eye", "target"])]
@@ -351,10 +351,10 @@ pub struct RenderArgs {
     /// Horizontal field of view with --eye, degrees.
     #[arg(long, value_name = "DEG", default_value_t = 60.0)]
     pub hfov_deg: f64,
-    /// Width of the picture of one map, pixels.
+    /// Width of the image of one map, pixels.
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub width: u32,
-    /// Height of the picture, pixels.
+    /// Height of the image, pixels.
     #[arg(long, value_name = "PX", default_value_t = 800, value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub height: u32,
     /// Radius of a point, millimetres.

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use support::{edit, fail, skclam, small_copy, succeed, text, utf8};
 
 /// Waits for the end of a program; kills one that does not come to it.
-fn ended(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
-    let deadline = Instant::now() + patience;
+fn ended(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
+    let deadline = Instant::now() + limit;
     while Instant::now() < deadline {
         if let Some(status) = child.try_wait().expect("a status") {
             return Some(status);

@@ -15,7 +15,7 @@ use skclam::pipeline::{self, Config, Outcome};
 use skclam::progress::Silent;
 use skclam::rig::{Posture, Rig};
 
-/// The traffic light.
+/// The status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Status {
     /// Use it.
@@ -35,7 +35,7 @@ pub struct Compared {
     pub truth: CameraError,
     /// Of the nominal rig, the same.
     pub nominal: CameraError,
-    /// Of the answer, RMS of positions after the best rigid motion of the base, mm: what a figure "with the base frame fitted" speaks of.
+    /// Of the answer, RMS of positions after the best rigid motion of the base, mm: what a value "with the base frame fitted" means.
     pub aligned_mm: f64,
     /// Root of the mean claimed variance; `None` where the estimator claims nothing.
     pub claimed: Option<CameraError>,
@@ -51,7 +51,7 @@ impl Compared {
 /// What a run is given and shown as.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shown {
-    /// The traffic light.
+    /// The status.
     pub status: Status,
     /// The first sentence, or the error's text.
     pub sentence: String,

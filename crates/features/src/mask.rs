@@ -102,7 +102,7 @@ pub struct EgoMask {
 
 /// Side of a cell, px.
 const CELL_PX: u32 = 8;
-/// Fewest matches that must agree on how the scene moved, and their share of those that moved.
+/// Fewest matches that must agree on how the scene moved, and their fraction of those that moved.
 const MIN_AGREEING: usize = 12;
 const MIN_AGREEING_FRACTION: f64 = 0.3;
 /// How far a match of the scene may be from the homography, px: depth makes it wrong by some.

@@ -8,7 +8,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Room that is asked for before the work begins; how much will be needed nobody knows yet.
+/// Disk space that is asked for before the work begins; how much will be needed nobody knows yet.
 #[cfg(unix)]
 const MIN_FREE_BYTES: u64 = 1 << 20;
 
@@ -263,7 +263,7 @@ fn enough_room(folder: &Path, shown: &Path) -> Result<(), OutputError> {
     let Ok(stat) = rustix::fs::statvfs(folder) else { return Ok(()) };
     let free = stat.f_bavail.saturating_mul(stat.f_frsize);
     if free < MIN_FREE_BYTES {
-        let problem = format!("only {free} bytes are free there; make room, or name another folder");
+        let problem = format!("only {free} bytes are free there; free some space, or name another folder");
         return Err(OutputError::new(shown, problem));
     }
     Ok(())

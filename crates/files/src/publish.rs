@@ -169,14 +169,14 @@ fn in_place(place: &Place, staged: &Path, files: &[String]) -> Result<(), Output
 
 impl Journal {
     /// The folders of the new and of the old files.
-    fn rooms(&self, real: &Path) -> [PathBuf; 2] {
+    fn staging_folders(&self, real: &Path) -> [PathBuf; 2] {
         let workshop = if self.is_inside { real } else { real.parent().unwrap_or(real) };
         [workshop.join(&self.staging), workshop.join(format!("{}.old", self.staging))]
     }
 
     /// Whether every name stays where it should: nothing is moved by a journal that came with a strange folder.
     pub fn is_sound(&self, real: &Path) -> bool {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         is_staging_of(&self.staging, real)
             && self.new.iter().chain(&self.old).all(|name| crate::is_inside(Path::new(name)))
             && self.new.iter().all(|name| no_link_above(&new, name) && no_link_above(real, name))
@@ -200,7 +200,7 @@ impl Journal {
 
     /// Moves every old file away, then every new one in. Can be repeated at any point.
     pub fn forward(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         // The manifests go first and come last, so that no folder in between has one.
         for name in self.old.iter().rev() {
             let is_placed = self.new.contains(name) && !tree::exists(&new.join(name));
@@ -218,7 +218,7 @@ impl Journal {
 
     /// Undoes what [`forward`](Self::forward) has done so far.
     fn backward(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         for name in self.new.iter().rev() {
             if !tree::exists(&new.join(name)) && tree::exists(&real.join(name)) {
                 tree::move_to(&real.join(name), &new.join(name))?;
@@ -238,7 +238,7 @@ impl Journal {
 
     /// Keeps the earlier result and removes what is no longer needed, the journal last.
     pub fn finish(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         // Folders of the earlier result that are empty now.
         for name in &self.old {
             for above in Path::new(name).ancestors().skip(1).filter(|above| !above.as_os_str().is_empty()) {

@@ -52,7 +52,7 @@ impl StagedFile {
 
     /// Where to write it.
     pub fn path(&self) -> PathBuf {
-        // With the ending of the destination, by which writers of pictures go.
+        // With the ending of the destination, by which writers of images go.
         let mut name = std::ffi::OsString::from("file");
         if let Some(ending) = self.real.extension() {
             name.push(".");

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointLimits {
-    /// Limits are not looked at.
+    /// Limits are ignored.
     #[default]
     Ignored,
     /// No joint value leaves its limits: a joint that would is held there, and the others make up for it.
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn another_branch_is_told() {
+    fn another_branch_is_reported() {
         let arm = hp3j();
         let pose = arm.base_from_flange(&[0.3, 0.2, -0.4, 0.5, 0.9, 0.2]).unwrap();
         let options = RefinementOptions { largest_change: Some(0.01), ..Default::default() };

@@ -1,7 +1,7 @@
 //! Distance from a point to the nearest point of a cloud or of a mesh's triangles, exactly.
 //!
 //! A bounding volume hierarchy over triangles, points being triangles of no extent. Distances to samples of a surface,
-//! as a k-d tree gives them, would add the spacing of the samples to every figure.
+//! as a k-d tree gives them, would add the spacing of the samples to every distance.
 
 use crate::{Error, Model};
 use nalgebra::Vector3;

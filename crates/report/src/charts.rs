@@ -69,7 +69,7 @@ pub struct Numbers<'a> {
 }
 
 impl<'a> Numbers<'a> {
-    /// Figures of this run.
+    /// Numbers of this run.
     pub fn of(run: &'a RunResult) -> Self {
         Numbers { run }
     }

@@ -79,7 +79,7 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("matches", "/counts/matches", "", Digits::Whole),
     ("observations of tracks", "/counts/observations", "", Digits::Whole),
     ("free parameters", "/calibration/free", "", Digits::Whole),
-    ("seen by the data", "/calibration/rank", "", Digits::Whole),
+    ("identifiable", "/calibration/rank", "", Digits::Whole),
     ("line distance, median, nominal", "/calibration/epipolar_before/median_px", "px", Digits::Significant(3)),
     ("line distance, median", "/calibration/epipolar_after/median_px", "px", Digits::Significant(3)),
     ("line distance, RMS", "/calibration/epipolar_after/rms_px", "px", Digits::Significant(3)),
@@ -89,9 +89,9 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("held out, mount alone fitted", "/held_out/metric_px/mount_only", "px", Digits::Significant(3)),
     ("camera, expected error, mean", "/recorded_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
     ("the same over the workspace", "/workspace_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
-    ("surfaces apart, median, nominal", "/map/agreement_nominal/median_mm", "mm", Digits::Significant(3)),
-    ("surfaces apart, median", "/map/agreement_calibrated/median_mm", "mm", Digits::Significant(3)),
-    ("surfaces apart, 90 %", "/map/agreement_calibrated/p90_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median, nominal", "/map/agreement_nominal/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median", "/map/agreement_calibrated/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, 90 %", "/map/agreement_calibrated/p90_mm", "mm", Digits::Significant(3)),
     ("peak memory", "/peak_memory_mib", "MiB", Digits::Whole),
 ];
 
@@ -244,7 +244,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
         ) + &notes,
         charts: Vec::new(),
     }];
-    let titles = [("metrics", "Figures"), ("parameters", "Parameters")];
+    let titles = [("metrics", "Metrics"), ("parameters", "Parameters")];
     for (group, (id, title)) in comparison.groups.iter().zip(titles) {
         let head: Vec<&str> =
             std::iter::once(title).chain(names.iter().map(String::as_str)).chain(std::iter::once("Unit")).collect();

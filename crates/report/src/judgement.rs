@@ -33,7 +33,7 @@ impl Status {
         }
     }
 
-    /// Name of its style and of its picture.
+    /// Name of its style and of its icon.
     pub(crate) fn class(self) -> &'static str {
         match self {
             Status::Green => "green",

@@ -122,7 +122,7 @@ fn check(data: &ReportData) -> Result<(), String> {
     }
     for image in &data.images {
         if image.images.iter().any(|image| image.jpeg.bytes().is_none()) {
-            return Err("a picture is no base64".to_owned());
+            return Err("an image is no base64".to_owned());
         }
     }
     Ok(())

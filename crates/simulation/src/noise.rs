@@ -152,11 +152,11 @@ pub struct DepthNoiseOptions {
     pub seed: u64,
     /// k of `sigma = k z^2`, per metre: the error of triangulation.
     pub sigma_per_square_metre: f64,
-    /// Share of the variance that neighbours have in common, 0 to 1.
+    /// Fraction of the variance that neighbours have in common, 0 to 1.
     pub correlated_fraction: f64,
     /// Distance over which it changes, pixels.
     pub correlation_px: u32,
-    /// A step to a neighbour of more than this share of the depth is an edge ...
+    /// A step to a neighbour of more than this fraction of the depth is an edge ...
     pub edge_step: f64,
     /// ... and a pixel at an edge has no value with this probability.
     pub edge_hole_probability: f64,

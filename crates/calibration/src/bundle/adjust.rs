@@ -1,4 +1,4 @@
-//! One descent of everything that moves, and the covariance at its end.
+//! One minimisation over everything that moves, and the covariance at its end.
 
 use crate::bundle::noise::LossCorrection;
 use crate::bundle::observations::Observations;
@@ -10,7 +10,7 @@ use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
 use crate::camera_kinematics::CameraKinematics;
 use crate::levenberg_marquardt::{
-    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    MinimizationLimits, Minimization, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::prior::Priors;
 use crate::{CalibrationError, Loss, Model, Parameter};
@@ -23,7 +23,7 @@ const MEANINGLESS_GAIN: f64 = 1e-3;
 /// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single points still have to go.
 const MEANINGLESS_SIGMAS: f64 = 0.02;
 
-/// All that a descent needs besides the state.
+/// All that a minimisation needs besides the state.
 pub(crate) struct Adjustment<'a> {
     pub nominal: &'a Rig,
     pub motion: &'a CameraKinematics,
@@ -85,18 +85,18 @@ impl Adjustment<'_> {
     }
 
     /// Descends until a step gains nothing that means anything.
-    pub(crate) fn descend(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
+    pub(crate) fn minimize(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
         let chunks = self.chunks();
         let cost = self.cost(&state, &chunks);
         let unknowns = self.unknowns(&state);
         let cost_tolerance = (MEANINGLESS_GAIN / cost.max(f64::MIN_POSITIVE)).clamp(1e-13, 1e-6);
-        let limits = DescentLimits {
+        let limits = MinimizationLimits {
             max_iterations,
             cost_tolerance,
             step_tolerance: 1e-11,
             sigma_tolerance: MEANINGLESS_SIGMAS,
         };
-        descend(state, cost, limits, |state, damping| {
+        minimize(state, cost, limits, |state, damping| {
             let view = state.view(&self.noise, self.loss);
             let board = state.placed_board();
             let shared = unknowns.shared_free();

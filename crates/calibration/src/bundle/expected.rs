@@ -168,7 +168,7 @@ mod tests {
         let mut rng = seeded(5);
         let postures = diverse_postures(&hp3j(), 24, &mut rng);
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
-        // Two rooms with as many points, but not the same.
+        // Two scenes with as many points, but not the same.
         let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
         let data = record(&truth, &postures, &box_points(1000, &mut rng), sensing, &mut rng);
         let fitted = calibrate_bundle(

@@ -38,7 +38,7 @@ pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, dof: f64) -> N
     }
 }
 
-/// Scale of residuals `(size, share of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
+/// Scale of residuals `(size, fraction of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
 fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square: f64) -> f64 {
     // An observation that its own point swallows says nothing.
     let used: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();

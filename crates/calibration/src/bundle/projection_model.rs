@@ -73,7 +73,7 @@ pub(crate) struct LinearizedObservation {
     pub rhs: Vector3<f64>,
 }
 
-/// The same for the numbers that all observations share.
+/// The same for the parameters common to all observations.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinearizedShared {
     /// With the point in the base frame.

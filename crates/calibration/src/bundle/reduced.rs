@@ -42,7 +42,7 @@ pub(crate) struct Eliminated {
     shared: Vec<SharedByPoint>,
 }
 
-/// How tracks are eliminated, and room for one of them, used again for the next.
+/// How tracks are eliminated, and buffers for one of them, used again for the next.
 #[derive(Default)]
 struct Workspace {
     shared_free: bool,

@@ -25,14 +25,14 @@ use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
 use std::cell::Cell;
 
-/// Observations that the descent uses until it has settled; then all.
+/// Observations that the minimisation uses until it has settled; then all.
 const SAMPLE_OBSERVATIONS: usize = 60_000;
 /// Bounds of the sigma of a joint's error, rad (or m): below 0.0003 deg nothing moves by what can be measured, and joints that are off by more than half a degree
 /// are no random effect: something else is wrong, and posture errors must not swallow it.
 const POSTURE_ERROR_BOUNDS: [f64; 2] = [5e-6, 8.7e-3];
 /// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more.
 const ITERATION_BUDGET: [usize; 2] = [2, 4];
-/// Data as good as this (sigma beside what they say of themselves) are synthetic, and descend to rounding.
+/// Data as good as this (sigma beside what they say of themselves) are synthetic, and are minimised to rounding.
 const EXACT_SIGMA: f64 = 1e-2;
 /// What an adjustment is left with when the budget has run out.
 const MIN_ITERATIONS: usize = 10;
@@ -360,14 +360,14 @@ impl BundleAdjuster<'_> {
             ..self.adjustment(&observations, &priors, noise, loss, LossCorrection::EVEN)
         };
         let state = match (posture_errors.is_empty(), state.base_from_board) {
-            (true, Some(_)) => adjustment.descend(state, 50)?.state,
+            (true, Some(_)) => adjustment.minimize(state, 50)?.state,
             _ => state,
         };
         let sizes = adjustment.residual_sizes(&state);
         Ok(Evaluated { sizes, state, observations })
     }
 
-    /// Triangulates, then descends in rounds until the noise has settled. A `rough` adjustment holds the variance components of posture errors and arm.
+    /// Triangulates, then minimises in rounds until the noise has settled. A `rough` adjustment holds the variance components of posture errors and arm.
     fn adjust(
         &self,
         start: &Model,
@@ -395,7 +395,7 @@ impl BundleAdjuster<'_> {
             effort.rounds += 1;
             let adjustment = self.adjustment(&observations, &priors, noise, loss, balance);
             let limit = self.options.max_iterations.min(allowed.saturating_sub(effort.wasted).max(1));
-            let minimization = adjustment.descend(state, limit)?;
+            let minimization = adjustment.minimize(state, limit)?;
             effort.iterations += minimization.iterations;
             effort.evaluations += minimization.evaluations;
             initial_cost.get_or_insert(minimization.initial_cost);

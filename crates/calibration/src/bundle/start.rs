@@ -110,7 +110,7 @@ fn align(corners: &[(Point3, Point3)]) -> Option<Isometry3> {
 /// Matches that the pairwise start looks at.
 const START_MATCHES: usize = 20_000;
 
-/// A model near enough for the descent, and the noise of its matches. Without enough pair matches it is the nominal one.
+/// A model near enough for the minimisation, and the noise of its matches. Without enough pair matches it is the nominal one.
 pub(crate) fn start(
     nominal: &Rig,
     data: &Correspondences,

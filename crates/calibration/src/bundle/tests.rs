@@ -397,7 +397,7 @@ fn a_displaced_camera_does_not_hide_a_wrong_posture() {
 }
 
 #[test]
-fn matches_that_contradict_each_other_are_told() {
+fn matches_that_contradict_each_other_are_reported() {
     // Every other observation sees the like thing 60 px to the right, consistently: which of the two worlds is the right one is not identifiable.
     let (_, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);

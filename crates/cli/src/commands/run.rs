@@ -178,8 +178,8 @@ pub fn show(summary: &Summary) {
     if let Some((before, after)) = summary.map.and_then(|map| Some((map.agreement_nominal?, map.agreement_calibrated?)))
     {
         let mm = |value: f64| format!("{value:.2} mm");
-        table.add_row(["depth images apart, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
-        table.add_row(["depth images apart, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
+        table.add_row(["depth consistency, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
+        table.add_row(["depth consistency, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
     }
     let board_rms = |of: fn(&BoardSummary) -> Option<f64>| {
         summary.board.as_ref().and_then(of).map_or("-".to_owned(), |rms| format!("{rms:.3}"))
@@ -214,7 +214,7 @@ pub fn show(summary: &Summary) {
     }
     say!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
     if let Some(rank) = calibration.rank {
-        say!("{rank} of {} free parameters are seen by the data", calibration.free);
+        say!("{rank} of {} free parameters are identifiable", calibration.free);
         if calibration.arm && matches!(summary.configuration.free, Free::Auto | Free::With(..)) {
             say!("Held, not identifiable: base about and along axis 1; flange about and along the last");
         }

@@ -133,8 +133,8 @@ fn show(validation: &Validation) {
         row("point-line distance, median", before.median_px, after.median_px, "px");
     }
     if let Some(agreement) = &validation.depth_agreement {
-        row("depth images apart, median", agreement.nominal.median_mm, agreement.calibrated.median_mm, "mm");
-        row("depth images apart, 90 %", agreement.nominal.p90_mm, agreement.calibrated.p90_mm, "mm");
+        row("depth consistency, median", agreement.nominal.median_mm, agreement.calibrated.median_mm, "mm");
+        row("depth consistency, 90 %", agreement.nominal.p90_mm, agreement.calibrated.p90_mm, "mm");
     }
     say!("{table}\n");
     say!(

@@ -49,7 +49,7 @@ const ENTRIES: [Entry; 21] = [
     ("DICT_ARUCO_MIP_36h12", 6, 250, 12, include_str!("dictionaries/aruco_mip_36h12.txt")),
 ];
 
-/// Wrong bits that are forgiven at most: the board's grid vouches for its markers, but not for any.
+/// Wrong bits that are forgiven at most: the board's grid supports its markers, but not any.
 const FORGIVEN: u32 = 3;
 
 impl Dictionary {

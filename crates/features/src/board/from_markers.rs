@@ -1,4 +1,4 @@
-//! From markers to corners: the way to a ChArUco board whose markers leave its corners little room.
+//! From markers to corners: the way to a ChArUco board whose markers leave its corners little space.
 //!
 //! With markers nearly as large as their squares the saddle points of the corners drown in the markers' borders. The
 //! markers themselves are seen well: each one read is four points of known places on the board. Neighbours that predict

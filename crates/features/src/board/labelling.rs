@@ -62,7 +62,7 @@ impl Labelling {
 pub struct FoundBoard {
     /// Every corner, in any count.
     pub corners: Vec<GridCorner>,
-    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when
+    /// The labellings that the pattern allows, at least one. More than one: the board looks the same when
     /// turned, or a part of it is out of view.
     pub labellings: Vec<Labelling>,
     /// Markers that were read.

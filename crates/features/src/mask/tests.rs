@@ -50,7 +50,7 @@ impl Sequence {
     }
 }
 
-/// Share of the pixels of an area that the mask covers.
+/// Fraction of the pixels of an area that the mask covers.
 fn covered(mask: &GrayImage, x: std::ops::Range<u32>, y: std::ops::Range<u32>) -> f64 {
     let area = f64::from((x.end - x.start) * (y.end - y.start));
     let pixels = x.flat_map(|x| y.clone().map(move |y| (x, y)));

@@ -17,7 +17,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 const PARAMETERS: usize = 6;
 /// Values that are summed side by side; lists are padded to a multiple.
 const WIDTH: usize = 8;
-/// Damping of the linear part against the shift, as a share of its own curvature.
+/// Damping of the linear part against the shift, as a fraction of its own curvature.
 const LINEAR_DAMPING: f64 = 0.02;
 
 /// A patch of image A and all that is computed of it once.
@@ -76,7 +76,7 @@ pub(super) enum Freedom {
 }
 
 impl Template {
-    /// Room for patches of `count` samples a side, an odd number.
+    /// Buffers for patches of `count` samples a side, an odd number.
     pub(super) fn new(count: usize) -> Self {
         let half = (count / 2) as f32;
         // A Gaussian that falls to a tenth at the corners: what is far from the centre moves the centre less.

@@ -51,7 +51,7 @@ pub struct DistanceSummary {
     pub median_m: f64,
     /// 90th percentile.
     pub p90_m: f64,
-    /// Share of samples within each of [`SCORE_THRESHOLDS_M`].
+    /// Fraction of samples within each of [`SCORE_THRESHOLDS_M`].
     pub within: [f64; 3],
 }
 
@@ -62,9 +62,9 @@ pub struct SurfaceScore {
     pub accuracy: DistanceSummary,
     /// From the observed part of the reference to the map: how much of it is there.
     pub completeness: DistanceSummary,
-    /// Harmonic mean of both shares within each of [`SCORE_THRESHOLDS_M`].
+    /// Harmonic mean of both fractions within each of [`SCORE_THRESHOLDS_M`].
     pub f_score: [f64; 3],
-    /// Share of the reference's samples that some view observed.
+    /// Fraction of the reference's samples that some view observed.
     pub observed: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Pictures of a map, drawn on the CPU without a window.
+//! Images of a map, drawn on the CPU without a window.
 //!
 //! Points are drawn as discs of a given radius, triangles by scan conversion, both with a depth buffer at several
 //! samples a pixel. Eye-dome lighting (Boucheny 2009: darken what lies behind its neighbours on the screen) makes depth
@@ -81,7 +81,7 @@ impl RenderOptions {
     }
 }
 
-/// Draws a cloud or a mesh as a camera would see it. An empty map gives an empty picture.
+/// Draws a cloud or a mesh as a camera would see it. An empty map gives an empty image.
 pub fn render(model: &Model, camera: &RenderCamera, options: &RenderOptions) -> Result<RgbImage, Error> {
     options.check()?;
     model.check()?;
@@ -94,7 +94,7 @@ pub fn render(model: &Model, camera: &RenderCamera, options: &RenderOptions) -> 
     Ok(shade::develop(&canvas, &fine, options))
 }
 
-/// Two pictures beside each other, `gap` pixels of the background between them; the lower one is padded at its foot.
+/// Two images beside each other, `gap` pixels of the background between them; the lower one is padded at its foot.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage, gap: u32, background: [u8; 3]) -> RgbImage {
     let height = left.height().max(right.height());
     let mut both = RgbImage::from_pixel(left.width() + gap + right.width(), height, Rgb(background));

@@ -13,7 +13,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
         html += "<p>This estimator (Nelder-Mead, the paper's) gives no covariance and does not analyse identifiability. The default preset does.</p>\n";
     } else {
         html += &format!(
-            "<p>{} of {} combinations of the free parameters are seen by the data. Condition number {}: the best-seen combination is \
+            "<p>{} of {} combinations of the free parameters are identifiable. Condition number {}: the best-determined combination is \
              determined so many times more precisely than the worst.</p>\n",
             numbers.show("/calibration/rank", Digits::Whole),
             numbers.show("/calibration/free", Digits::Whole),

@@ -38,7 +38,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
     Section { id: "verdict", title: "Verdict", html, charts: Vec::new() }
 }
 
-/// A picture beside the word: a tick in a circle, a sign with an exclamation mark, a cross in an octagon.
+/// An icon beside the word: a tick in a circle, a sign with an exclamation mark, a cross in an octagon.
 fn shape(status: Status) -> &'static str {
     match status {
         Status::Green => {
@@ -61,7 +61,7 @@ fn tiles(run: &RunResult) -> String {
     let mut out = String::from("<dl class=\"tiles\">\n");
     // Without pairs (a board alone) there are no lines to be far from.
     let fits = [
-        ("Matches to their lines", "epipolar", "median_px", "median distance, nominal to calibrated"),
+        ("Epipolar distance", "epipolar", "median_px", "median distance, nominal to calibrated"),
         ("Points to where they were seen", "reprojection", "rms_px", "reprojection, RMS, nominal to calibrated"),
     ];
     let pointer = |kind: &str, which: &str, field: &str| format!("/calibration/{kind}_{which}/{field}");
@@ -83,7 +83,7 @@ fn tiles(run: &RunResult) -> String {
         }),
     );
     out += &tile(
-        "Depth surfaces apart",
+        "Depth consistency",
         match run.number("/map/agreement_calibrated/median_mm") {
             Some(_) => numbers.change("/map/agreement_nominal/median_mm", "/map/agreement_calibrated/median_mm", "mm"),
             None => numbers.show("/map/agreement_calibrated/median_mm", Digits::Whole),
@@ -115,7 +115,7 @@ fn scene(run: &RunResult) -> String {
         "<fieldset><legend>Colour</legend>{}{}{}</fieldset>",
         choice("color", "photo", "Photograph", true),
         choice("color", "image", "Image", false),
-        choice("color", "gap", "Disagreement", false)
+        choice("color", "gap", "Depth consistency", false)
     );
     let (title, what) = if map {
         (

@@ -72,7 +72,7 @@ fn metrics(run: &RunResult) -> String {
     }
     let held_out = format!("Held out: {}", escaped(run.text("/held_out/metric")));
     row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
-    for (name, field) in [("Depth surfaces apart, median", "median_mm"), ("Depth surfaces apart, 90 %", "p90_mm")] {
+    for (name, field) in [("Depth consistency, point to plane, median", "median_mm"), ("Depth consistency, point to plane, 90 %", "p90_mm")] {
         let pointer = |which: &str| format!("/map/agreement_{which}/{field}");
         row(name, "mm", &pointer("nominal"), &pointer("calibrated"));
     }
@@ -173,7 +173,7 @@ fn histogram(histogram: &Histogram, kind: ResidualKind) -> Chart {
         ]),
         layout: json!({
             "xaxis": {"type": "log", "title": {"text": format!("distance to {} (px)", aim(kind))}, "exponentformat": "none", "dtick": 1},
-            "yaxis": {"title": {"text": "share (%)"}, "rangemode": "tozero"},
+            "yaxis": {"title": {"text": "fraction (%)"}, "rangemode": "tozero"},
         }),
         height: 320,
         max_width: None,

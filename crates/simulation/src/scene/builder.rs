@@ -29,7 +29,7 @@ enum Shape {
 }
 
 impl Sheet {
-    /// Point and outward normal at a place given in shares of width and height.
+    /// Point and outward normal at a place given in fractions of width and height.
     fn at(&self, u: f64, v: f64) -> (Point3, Vector3<f64>) {
         match self.shape {
             Shape::Flat { corner, right, down, normal } => {

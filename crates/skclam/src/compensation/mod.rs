@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_reached_is_told() {
+    fn what_cannot_be_reached_is_reported() {
         let (nominal, calibrated, _) = arms("hp3j", 0.0);
         let options = CompensationOptions::default();
         let mut compensator = Compensator::new(&nominal, &calibrated, &options).unwrap();

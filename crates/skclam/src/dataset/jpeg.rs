@@ -35,7 +35,7 @@ fn ends_flat(image: &DynamicImage) -> bool {
     all(&|x, y| image.get_pixel(x, y) == first) || all(&|x, y| image.get_pixel(x, y) == image.get_pixel(x - 8, y))
 }
 
-/// Whether the stream comes to the end marker of its image. What follows that is not looked at.
+/// Whether the stream comes to the end marker of its image. What follows that is ignored.
 fn ends(mut stream: impl BufRead) -> io::Result<bool> {
     let mut in_scan = false;
     loop {

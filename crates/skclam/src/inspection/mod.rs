@@ -26,7 +26,7 @@ use warnings::warnings;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InspectionOptions {
-    /// Prediction of what images share.
+    /// Prediction of the overlap of images.
     pub pairing: PairingOptions,
     /// Fewer postures than this calibrate badly: the paper needed 30 for a tenth of a degree.
     pub min_postures: usize,
@@ -34,11 +34,11 @@ pub struct InspectionOptions {
     pub min_joint_range_deg: f64,
     /// A prismatic joint that slides by less than this, millimetres.
     pub min_joint_range_mm: f64,
-    /// An image with less than this share of the median sharpness is blurred.
+    /// An image with less than this fraction of the median sharpness is blurred.
     pub min_relative_sharpness: f64,
-    /// A share of black or of white pixels beyond this is badly exposed.
+    /// A fraction of black or of white pixels beyond this is badly exposed.
     pub max_clipped: f64,
-    /// A depth image with a smaller share of measured pixels is a poor one.
+    /// A depth image with a smaller fraction of measured pixels is a poor one.
     pub min_depth_fraction: f64,
     /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt, metres.
     pub plausible_depth_m: [f64; 2],
@@ -89,11 +89,11 @@ pub struct ImageJudgement {
     pub index: u64,
     /// Its file.
     pub color: String,
-    /// Fine detail as a share of the contrast; to be compared within a dataset.
+    /// Fine detail as a fraction of the contrast; to be compared within a dataset.
     pub sharpness: f64,
     /// Grey values.
     pub exposure: Exposure,
-    /// Share of measured depth pixels.
+    /// Fraction of measured depth pixels.
     pub depth_fraction: Option<f64>,
     /// Median depth, metres.
     pub median_depth_m: Option<f64>,
@@ -336,7 +336,7 @@ mod tests {
         assert!(still.warnings.iter().any(|warning| warning.contains("should move more")), "{:?}", still.warnings);
     }
     #[test]
-    fn what_only_the_tolerances_tell_is_not_counted_as_told() {
+    fn what_only_the_tolerances_fix_is_not_counted_as_identifiable() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         for (at, record) in dataset.records.iter_mut().enumerate() {
             if let PostureState::Joints(values) = &mut record.posture.state {

@@ -15,13 +15,13 @@ use skclam_rig::Rig;
 pub struct MapCoverage {
     /// Radius of the ball that the flange stays in, around the first joint, metres; `null` without an arm or with sliding joints.
     pub reach_m: Option<f64>,
-    /// Share of that ball that was seen to be free or occupied. Walls and the table cut off a part that nobody can see.
+    /// Fraction of that ball that was observed to be free or occupied. Walls and the table cut off a part that nobody can see.
     pub observed_fraction_of_reach: Option<f64>,
-    /// Share of the free space's border that no surface closes: holes, and the ends of the views. `null` without free space.
+    /// Fraction of the free space's border that no surface closes: holes, and the ends of the views. `null` without free space.
     pub open_boundary_fraction: Option<f64>,
     /// The same in square metres.
     pub open_boundary_m2: f64,
-    /// Share of the depth images' pixels that have no value.
+    /// Fraction of the depth images' pixels that have no value.
     pub depth_without_value: f64,
 }
 

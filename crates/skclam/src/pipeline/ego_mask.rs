@@ -14,7 +14,7 @@ pub struct EgoMaskSummary {
     pub outcome: MaskOutcome,
     /// Pairs of images that were looked at.
     pub pairs: usize,
-    /// Share of the image that moves with the camera.
+    /// Fraction of the image that moves with the camera.
     pub masked_fraction: f64,
     /// Keypoints that were left out.
     pub dropped_keypoints: usize,

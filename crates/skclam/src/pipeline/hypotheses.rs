@@ -1,7 +1,7 @@
 //! Which gross mistake explains a recording that its rig does not explain at all: each is undone in turn, and what the
 //! images then say decides.
 //!
-//! Matches are gathered anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
+//! Matches are computed anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
 //! is compared with the camera rotations that the matches of single pairs give ([`screening`]: microseconds each);
 //! the most promising ones, and the unchanged data, get the mount that fits them best, found from nothing
 //! ([`find_mount`]), and are compared by the median Sampson distance of the same matches. A mistake is named only where

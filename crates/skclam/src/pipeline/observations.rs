@@ -103,7 +103,7 @@ fn thinned(tracks: Tracks, max_observations: Option<usize>) -> Tracks {
     let keep = limit as f64 / tracks.observations.len() as f64;
     let mut thin = Tracks { starts: vec![0], counts: tracks.counts, ..Tracks::default() };
     for (index, track) in tracks.iter().enumerate() {
-        // Track k is kept when the running total of shares passes a whole number.
+        // Track k is kept when the running total of fractions passes a whole number.
         if ((index + 1) as f64 * keep).floor() > (index as f64 * keep).floor() {
             thin.observations.extend_from_slice(track);
             thin.starts.push(thin.observations.len());

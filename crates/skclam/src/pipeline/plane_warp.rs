@@ -67,9 +67,9 @@ impl TwoViews<'_> {
         let (along, t) = (self.b_from_a.rotation * self.ray, self.b_from_a.translation.vector);
         let toward = self.camera.unproject(in_b);
         // z along + t is parallel to `toward`.
-        let (across, lever) = (along.cross(&toward), t.cross(&toward));
+        let (across, along_baseline) = (along.cross(&toward), t.cross(&toward));
         let parallax = across.norm() / (along.norm() * toward.norm());
-        let inverse_depth = -across.norm_squared() / across.dot(&lever);
+        let inverse_depth = -across.norm_squared() / across.dot(&along_baseline);
         (parallax > MIN_PARALLAX && inverse_depth.is_finite() && inverse_depth > 0.0).then_some(inverse_depth)
     }
 

@@ -2,7 +2,7 @@
 //! folder alone.
 //!
 //! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of numbers by the
-//! thousand are base64 of little-endian arrays ([`Packed`]); pictures are base64 of JPEG files. Positions in the recording ("posture
+//! thousand are base64 of little-endian arrays ([`Packed`]); images are base64 of JPEG files. Positions in the recording ("posture
 //! 3") count from 0; `index` is the recording's own name of a posture. A reader refuses a `format` that it does not know.
 
 mod map_samples;

@@ -1,4 +1,4 @@
-//! Numbers by the thousand and pictures as text inside JSON.
+//! Numbers by the thousand and images as text inside JSON.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -33,7 +33,7 @@ impl Packed {
     }
 }
 
-/// A JPEG picture.
+/// A JPEG image.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EmbeddedImage {
     /// Pixels across.

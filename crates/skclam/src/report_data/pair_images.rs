@@ -1,4 +1,4 @@
-//! The worst, the median and the best pair as small pictures, with some matches and their epipolar lines before and after.
+//! The worst, the median and the best pair as small images, with some matches and their epipolar lines before and after.
 
 use super::residuals::PairEnds;
 use super::{EmbeddedImage, Packed, PairResiduals, ResidualData, rounded};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use skclam_calibration::{Correspondences, Model, PairMatch, camera_poses};
 use skclam_geometry::{EpipolarLine, FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
 
-/// Longer edge of a picture, px.
+/// Longer edge of an image, px.
 const PICTURE_PX: u32 = 640;
 /// JPEG quality.
 const QUALITY: u8 = 78;
@@ -21,7 +21,7 @@ const MIN_MATCHES: usize = 8;
 /// Straight pieces of a line; distorted lines are bent.
 const PIECES: usize = 24;
 
-/// A pair with matches drawn on it. Pixels of the small pictures: (0, 0) is the outer corner of the top-left pixel, so that a picture
+/// A pair with matches drawn on it. Pixels of the small images: (0, 0) is the outer corner of the top-left pixel, so that an image
 /// spans its width and height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairImages {

@@ -248,7 +248,7 @@ fn cells(places: &[Place], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>
     (grid, members.iter().enumerate().filter_map(summed).collect())
 }
 
-/// The value below which a share of a list lies; 0 for an empty one.
+/// The value below which a fraction of a list lies; 0 for an empty one.
 fn quantile(values: &mut [f64], fraction: f64) -> f64 {
     let Some(last) = values.len().checked_sub(1) else { return 0.0 };
     let (_, value, _) = values.select_nth_unstable_by((fraction * last as f64).round() as usize, f64::total_cmp);

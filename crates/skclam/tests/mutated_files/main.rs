@@ -13,7 +13,7 @@ use skclam_damage::{Seed, Trial, damaged_bytes, damaged_text};
 use std::path::Path;
 
 /// A reader of texts may allocate so many bytes for each byte of its input (a short element of XML is a node of a tree),
-/// and so many once, in which the seeds of the tests beside it have room.
+/// and so many once, into which the seeds of the tests beside it fit.
 const ALLOCATED_A_BYTE: usize = 300;
 const ALLOCATED_ONCE: usize = 16 << 20;
 /// The largest resident set of the test process, MiB.

@@ -15,7 +15,7 @@ const MAX_SHIFT: i64 = 5;
 pub(super) struct Candidate {
     /// `None`: unchanged.
     pub cause: Option<GrossCause>,
-    /// The rig; the mount is not looked at.
+    /// The rig; the mount is ignored.
     pub rig: Rig,
     /// One a row of images; `None` where the shift leaves an image without a posture.
     pub postures: Vec<Option<Posture>>,

@@ -20,7 +20,7 @@ const SKETCH: usize = 150;
 const MAX_COMPARED: usize = 2500;
 /// Pairs that are matched at the most.
 const MAX_PAIRS: usize = 240;
-/// Partners of an image by shared descriptors.
+/// Neighbours of an image by shared descriptors.
 const NEIGHBORS: usize = 4;
 /// A pair with fewer verified matches may be an accident.
 const MIN_MATCHES: usize = 20;
