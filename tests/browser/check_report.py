@@ -105,7 +105,7 @@ def check_switches(page):
     page.wait_for_timeout(900)
     images.append(scene.screenshot())
     if page.locator('input[name="color"]').count():
-        for value in ("image", "gap"):
+        for value in ("image", "distance"):
             page.locator('input[name="color"]:checked').focus()
             page.keyboard.press("ArrowRight")
             expect(page.locator('input[name="color"]:checked').input_value() == value, f"the arrow key does not switch to {value}")

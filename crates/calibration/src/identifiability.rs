@@ -1,6 +1,6 @@
 //! Which parameters the data determine and which they do not, in numbers and in words.
 //!
-//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint deviations eliminated)
+//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint errors eliminated)
 //! with each parameter scaled by [`Parameter::scale`]: equal weight for 0.01 rad and 1 cm. They are computed as roots of the eigenvalues of its
 //! normal matrix, so that ratios below about 1e-7 are rounding; below [`RANK_THRESHOLD`] a direction counts as unobservable.
 //!

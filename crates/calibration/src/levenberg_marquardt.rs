@@ -48,7 +48,7 @@ const GREATEST_DAMPING: f64 = 1e10;
 /// Equations that cannot be solved with this damping have no solution.
 const SINGULAR_DAMPING: f64 = 1.0;
 
-/// Descends from `state`. `propose(state, damping)` solves for a step and evaluates it.
+/// Minimises from `state`. `propose(state, damping)` solves for a step and evaluates it.
 pub(crate) fn minimize<S>(
     mut state: S,
     mut cost: f64,
@@ -122,7 +122,7 @@ pub(crate) fn damped_solve(
     damping: f64,
 ) -> Result<DVector<f64>, CalibrationError> {
     let count = rhs.len();
-    // Unknowns behind the parameters (board, joint deviations) are radians and metres too.
+    // Unknowns behind the parameters (board, joint errors) are radians and metres too.
     let unit = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale()).powi(2);
     let greatest = (0..count).map(|k| information[(k, k)] * unit(k)).fold(0.0, f64::max);
     // Jacobi scaling: the factorisation then sees a unit diagonal whatever the units.

@@ -29,7 +29,7 @@ pub enum Search {
     /// On a sample of the matches, with losses of several widths: for starts degrees off and for many wrong matches.
     #[default]
     Widths,
-    /// Descends from the start at once.
+    /// Minimises from the start at once.
     Off,
 }
 

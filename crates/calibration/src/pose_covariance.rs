@@ -54,7 +54,7 @@ pub(crate) fn spread_to_poses(
     let motion = CameraKinematics::new(nominal, postures)?;
     let mut flange_model: Model = model.clone();
     flange_model.rig.flange_from_color = Isometry3::identity();
-    let spread = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
+    let covariance_of = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
         let mut columns = motion.linearize(model, parameters, posture, &[])?.by_parameter;
         for (column, parameter) in columns.iter_mut().zip(parameters) {
             if !moves(parameter) {
@@ -68,8 +68,8 @@ pub(crate) fn spread_to_poses(
     (0..postures.len())
         .map(|posture| {
             Ok(PoseCovariance {
-                flange: spread(&flange_model, &|parameter| !matches!(parameter, Parameter::Mount(_)), posture)?,
-                camera: spread(model, &|_| true, posture)?,
+                flange: covariance_of(&flange_model, &|parameter| !matches!(parameter, Parameter::Mount(_)), posture)?,
+                camera: covariance_of(model, &|_| true, posture)?,
             })
         })
         .collect()

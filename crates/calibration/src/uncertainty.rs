@@ -27,9 +27,9 @@ pub(crate) fn covariance(information: &DMatrix<f64>, parameters: &[Parameter]) -
         let value = eigen.eigenvalues[k];
         if value > 1e-13 * greatest { 1.0 / value } else { 0.0 }
     });
-    let spread = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
+    let covariance = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
     DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (spread[(i, j)] + spread[(j, i)]) * level[i] * level[j] * parameters[i].scale() * parameters[j].scale()
+        0.5 * (covariance[(i, j)] + covariance[(j, i)]) * level[i] * level[j] * parameters[i].scale() * parameters[j].scale()
     })
 }
 

@@ -123,7 +123,7 @@ fn a_tum_folder_becomes_a_data_set_that_calibrates() {
     expectation.free = Free::Angles;
     expectation.pixel_sigma = found["reprojection_after"]["rms_px"].as_f64().unwrap();
     expectation.depth_sigma_per_m2 = found["depth_sigma_per_m2"].as_f64().unwrap();
-    expectation.joint_error_deg = found["joint_deviation_sigma_deg"].as_f64().unwrap();
+    expectation.joint_error_deg = found["joint_error_sigma_deg"].as_f64().unwrap();
     let expected = inspect(&imported, &options, &Silent).unwrap().expected.unwrap().parameters;
     let reported = found["parameters"].as_array().unwrap();
     assert_eq!(expected.len(), reported.len());

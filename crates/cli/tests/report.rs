@@ -63,7 +63,7 @@ fn the_page_shows_the_summary_and_is_built_again_from_the_folder() {
         serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
     let numbers = check_numbers(&page, &summary);
     assert!(numbers > 120, "only {numbers} numbers");
-    for needed in ["/calibration/epipolar_after/median_px", "/map/agreement_calibrated/median_mm", "/peak_memory_mib"] {
+    for needed in ["/calibration/epipolar_after/median_px", "/map/depth_consistency_calibrated/median_mm", "/peak_memory_mib"] {
         assert!(page.contains(&format!("data-from=\"{needed}\"")), "{needed} is not shown");
     }
     let parameters = summary["calibration"]["parameters"].as_array().unwrap().len();
@@ -147,7 +147,7 @@ fn damaged_results_are_answered() {
         ("\"format\":2", "\"format\":99", "format 99"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"AAAA", "map.calibrated_m"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"!", "base64"),
-        ("\"ends\":", "\"ends\":-", "invalid"),
+        ("\"endpoints\":", "\"endpoints\":-", "invalid"),
     ] {
         assert!(text.contains(from), "{from}");
         fs::write(&data, text.replacen(from, to, 1)).unwrap();

@@ -86,7 +86,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
     (Cause::ImageShift, &["shifted by", "rows of postures.csv", "row of postures.csv", "one posture late", "one row"]),
     (
         Cause::MountFarOff,
-        &["mount was found", "mount is far off", "mount far off", "find-mount", "own mount was", "nominal mount was"],
+        &["mount was found", "mount is far off", "mount far off", "find-mount", "own was", "nominal mount was"],
     ),
     (
         Cause::FewPostures,

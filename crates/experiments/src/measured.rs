@@ -76,7 +76,7 @@ pub struct Measured {
     pub workspace: Option<Compared>,
     /// What a person sees.
     pub shown: Shown,
-    /// By how much camera positions over the workspace are too far apart, percent.
+    /// Scale error of camera positions over the workspace, percent.
     pub scale_error_percent: Option<f64>,
     /// CPU seconds of the run over all threads.
     pub seconds: f64,

@@ -72,7 +72,7 @@ impl TruePoses {
         Ok(1e3 * (pairs().map(|(f, t)| (turn * f - t).norm_squared()).sum::<f64>() / count).sqrt())
     }
 
-    /// By how much the rig's camera positions are too far apart, percent: the scale of the similarity that takes true positions to found
+    /// Scale error of the rig's camera positions, percent: the scale of the similarity that takes true positions to found
     /// ones (least squares, Umeyama 1991).
     ///
     /// # Errors

@@ -73,7 +73,7 @@ pub enum Termination {
 /// Joint values and how well they reach the pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InverseKinematics {
-    /// The best joint values found, radians or metres. Whole turns are those of the start.
+    /// The best joint values found, radians or metres. Wrapped as the start is.
     pub joint_values: Vec<f64>,
     /// Distance between the flange's position and the wanted one, metres.
     pub position_error: f64,
@@ -442,11 +442,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn turns_of_the_start_are_kept(turns in prop::collection::vec(-2..=2i32, 6)) {
+        fn wrapping_of_the_start_is_kept(wraps in prop::collection::vec(-2..=2i32, 6)) {
             let arm = hp3j();
             let values = [0.3, 0.2, -0.4, 0.5, 0.9, 0.2];
             let pose = arm.base_from_flange(&values).unwrap();
-            let start: Vec<f64> = values.iter().zip(&turns).map(|(q, turn)| q + 0.01 + std::f64::consts::TAU * f64::from(*turn)).collect();
+            let start: Vec<f64> = values.iter().zip(&wraps).map(|(q, wraps)| q + 0.01 + std::f64::consts::TAU * f64::from(*wraps)).collect();
             let got = refine_inverse_kinematics(&arm, &pose, &start, &RefinementOptions::default()).unwrap();
             prop_assert_eq!(got.termination, Termination::Converged);
             let near = nearby(&SerialChain::new(arm.joints().iter().cloned().map(|joint| Joint { limits: None, ..joint }).collect()).unwrap(), &values, &start).unwrap().unwrap();

@@ -46,7 +46,7 @@
     const floats = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Float32Array.from({ length: b.length / 4 }, (_, k) => v.getFloat32(4 * k, true)); };
     const shorts = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Uint16Array.from({ length: b.length / 2 }, (_, k) => v.getUint16(2 * k, true)); };
     const axis = (points, k) => Float32Array.from({ length: points.length / 3 }, (_, i) => points[3 * i + k]);
-    const quantile = (values, fraction) => { const sorted = Float64Array.from(values).sort(); return sorted.length ? sorted[Math.round(fraction *  (sorted.length - 1))] : 0; };
+    const quantile = (values, fraction) => { const sorted = Float64Array.from(values).sort(); return sorted.length ? sorted[Math.round(fraction * (sorted.length - 1))] : 0; };
     const views = {};
     let rgb, images, limit = 1;
     if (scene.map) {
@@ -55,10 +55,10 @@
       images = shorts(scene.map.postures);
       for (const rig of ["nominal", "calibrated"]) {
         const points = floats(scene.map[rig + "_m"]);
-        views[rig] = { x: axis(points, 0), y: axis(points, 1), z: axis(points, 2), gap: floats(scene.map[`gaps_${rig}_mm`]) };
+        views[rig] = { x: axis(points, 0), y: axis(points, 1), z: axis(points, 2), distance: floats(scene.map[`point_to_plane_${rig}_mm`]) };
       }
       // One scale for both, so that the switch shows the difference.
-      limit = Math.max(quantile(views.nominal.gap.filter((v) => !Number.isNaN(v)), 0.9), quantile(views.calibrated.gap.filter((v) => !Number.isNaN(v)), 0.9), 0.1);
+      limit = Math.max(quantile(views.nominal.distance.filter((v) => !Number.isNaN(v)), 0.9), quantile(views.calibrated.distance.filter((v) => !Number.isNaN(v)), 0.9), 0.1);
     }
     // A few stray points must not make the rest small.
     const range = (k) => {
@@ -78,13 +78,13 @@
       switch (choice("color")) {
         case "image":
           return [{ ...base, marker: { size: 1.6, color: images, colorscale: "Viridis", cmin: 0, cmax: scene.calibrated.length - 1, showscale: true, colorbar: bar("image (position in the recording)") } }];
-        case "gap": {
-          const seen = [], alone = [];
-          view.gap.forEach((v, k) => (Number.isNaN(v) ? alone : seen).push(k));
+        case "distance": {
+          const compared = [], alone = [];
+          view.distance.forEach((v, k) => (Number.isNaN(v) ? alone : compared).push(k));
           const part = (keep) => ({ ...base, x: keep.map((k) => view.x[k]), y: keep.map((k) => view.y[k]), z: keep.map((k) => view.z[k]) });
           return [
             { ...part(alone), marker: { size: 1.2, color: color("--line") } },
-            { ...part(seen), marker: { size: 1.8, color: seen.map((k) => view.gap[k]), colorscale: "Cividis", cmin: 0, cmax: limit, showscale: true, colorbar: bar("point to plane (mm)") } },
+            { ...part(compared), marker: { size: 1.8, color: compared.map((k) => view.distance[k]), colorscale: "Cividis", cmin: 0, cmax: limit, showscale: true, colorbar: bar("point to plane (mm)") } },
           ];
         }
         default:
@@ -148,7 +148,7 @@
         scene: { ...axes(text, line), domain: { x: [0, (choice("color") || "photo") === "photo" ? 1 : 0.87] }, aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
       };
       const said = byId("scene-said");
-      if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "depth consistency (point to plane)" }[choice("color")]}` : ""}.`;
+      if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", distance: "depth consistency (point to plane)" }[choice("color")]}` : ""}.`;
       // The first image soon, later ones when the hand rests.
       snapshot(asked ? 700 : 50);
       return Plotly.react(place, data, layout, { displayModeBar: false, responsive: true });

@@ -32,7 +32,7 @@ pub struct ComparedRun {
     pub dataset: Option<String>,
     /// Why its arm is another than the first run's; `None` for the first, and for the same arm.
     pub another_arm: Option<String>,
-    /// What its traffic status says.
+    /// What its status says.
     pub status: String,
     /// Its verdict.
     pub verdict: String,
@@ -89,9 +89,9 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("held out, mount alone fitted", "/held_out/metric_px/mount_only", "px", Digits::Significant(3)),
     ("camera, expected error, mean", "/recorded_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
     ("the same over the workspace", "/workspace_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
-    ("depth consistency, median, nominal", "/map/agreement_nominal/median_mm", "mm", Digits::Significant(3)),
-    ("depth consistency, median", "/map/agreement_calibrated/median_mm", "mm", Digits::Significant(3)),
-    ("depth consistency, 90 %", "/map/agreement_calibrated/p90_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median, nominal", "/map/depth_consistency_nominal/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median", "/map/depth_consistency_calibrated/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, 90 %", "/map/depth_consistency_calibrated/p90_mm", "mm", Digits::Significant(3)),
     ("peak memory", "/peak_memory_mib", "MiB", Digits::Whole),
 ];
 

@@ -1,4 +1,4 @@
-//! The traffic status: whether the calibration can be trusted, and why.
+//! The status: whether the calibration can be trusted, and why.
 
 use crate::RunResult;
 use serde_json::Value;

@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_are_compared_modulo_a_turn() {
+    fn angles_are_compared_modulo_two_pi() {
         let truth = rig();
         let mut turned = truth.clone();
         let id = ParameterId { joint: 1, kind: ParameterKind::ThetaOffset };

@@ -2,7 +2,7 @@
 
 use crate::pipeline::{
     BoardSummary, Cause, CheckResult, Config, EgoMaskSummary, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
-    PoseSigmaSummary, Scale, Status, SurfaceAgreement, TrackSummary, VerdictCase,
+    PoseSigmaSummary, Scale, Status, DepthConsistencySummary, TrackSummary, VerdictCase,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
@@ -27,7 +27,7 @@ pub struct Summary {
     pub evidence: Evidence,
     /// What does not fit, by name, the likeliest first.
     pub causes: Vec<Cause>,
-    /// What was looked at, worst first.
+    /// The checks, worst first.
     pub checks: Vec<CheckResult>,
     /// Where lengths come from.
     pub scale: Scale,
@@ -116,7 +116,7 @@ pub struct CalibrationSummary {
     pub free: usize,
     /// How many combinations of them are identifiable; `null` for Nelder-Mead.
     pub rank: Option<usize>,
-    /// Greatest over smallest singular value of what is seen.
+    /// Greatest over smallest singular value of what is identifiable.
     pub condition_number: Option<f64>,
     /// Observability indices O1 to O5.
     pub observability: Option<[f64; 5]>,
@@ -126,8 +126,8 @@ pub struct CalibrationSummary {
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2`, 1/m.
     pub depth_sigma_per_m2: Option<f64>,
-    /// Sigma of the joint deviations, degrees.
-    pub joint_deviation_sigma_deg: Option<f64>,
+    /// Sigma of the joint error per posture, degrees.
+    pub joint_error_sigma_deg: Option<f64>,
     /// Part of the correspondences that do not fit.
     pub outlier_fraction: f64,
     /// How the solver ended.
@@ -158,11 +158,11 @@ pub struct ParameterSummary {
 pub struct MapSummary {
     /// Points of map.ply.
     pub points: usize,
-    /// How far apart the surfaces of overlapping depth images are at the nominal poses.
-    pub agreement_nominal: Option<SurfaceAgreement>,
+    /// Point-to-plane distance between overlapping depth images at the nominal poses.
+    pub depth_consistency_nominal: Option<DepthConsistencySummary>,
     /// The same at the calibrated poses.
-    pub agreement_calibrated: Option<SurfaceAgreement>,
-    /// How much was seen, at the calibrated poses.
+    pub depth_consistency_calibrated: Option<DepthConsistencySummary>,
+    /// How much was observed, at the calibrated poses.
     pub coverage: Option<MapCoverage>,
 }
 
@@ -226,7 +226,7 @@ impl CalibrationSummary {
                 .unwrap_or_default(),
             pixel_sigma: calibration.noise.pixel,
             depth_sigma_per_m2: calibration.noise.depth_sigma_per_m2,
-            joint_deviation_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
+            joint_error_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
             outlier_fraction: calibration.noise.outlier_fraction,
             termination: calibration.termination,
             ended: calibration.termination.reason.to_string(),

@@ -84,7 +84,7 @@ impl Adjustment<'_> {
         }
     }
 
-    /// Descends until a step gains nothing that means anything.
+    /// Minimises until a step gains nothing that means anything.
     pub(crate) fn minimize(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
         let chunks = self.chunks();
         let cost = self.cost(&state, &chunks);

@@ -75,7 +75,7 @@ pub(crate) struct LossCorrection {
     /// `mean(psi^2) mean(w) / mean(psi')^2`.
     pub efficiency_factor: f64,
     /// `mean(psi^2) / mean(psi')`. A likelihood's score varies as much as it bends; that of a loss which bends more than its score varies would outshout a prior,
-    /// so that the prior is weighted with the same ratio. The variance of joint deviations would else come out too small.
+    /// so that the prior is weighted with the same ratio. The variance of joint errors would else come out too small.
     pub prior_weight: f64,
 }
 

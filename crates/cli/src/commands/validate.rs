@@ -132,9 +132,9 @@ fn show(validation: &Validation) {
         row("point-line distance, RMS", before.rms_px, after.rms_px, "px");
         row("point-line distance, median", before.median_px, after.median_px, "px");
     }
-    if let Some(agreement) = &validation.depth_agreement {
-        row("depth consistency, median", agreement.nominal.median_mm, agreement.calibrated.median_mm, "mm");
-        row("depth consistency, 90 %", agreement.nominal.p90_mm, agreement.calibrated.p90_mm, "mm");
+    if let Some(consistency) = &validation.depth_consistency {
+        row("depth consistency, median", consistency.nominal.median_mm, consistency.calibrated.median_mm, "mm");
+        row("depth consistency, 90 %", consistency.nominal.p90_mm, consistency.calibrated.p90_mm, "mm");
     }
     say!("{table}\n");
     say!(

@@ -14,7 +14,7 @@ const BORDER_ERRORS: f64 = 0.1;
 /// Samples along a side of a bit.
 const SAMPLES: usize = 3;
 
-/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
+/// The labellings of a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
 /// where fewer than two agree.
 ///
 /// A grid that was clipped to the board under one beginning says nothing of the other: then all labellings are returned.

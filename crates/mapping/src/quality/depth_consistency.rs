@@ -253,13 +253,13 @@ mod tests {
         // It moved 5 cm sideways, and says it came 7 mm nearer, which it did not.
         let second = View { base_from_color: Isometry3::translation(0.05, 0.0, 0.007), ..first };
         let away = View { base_from_color: Isometry3::translation(50.0, 0.0, 0.0), ..first };
-        let gaps = depth_consistency(&[first, second, away], &DepthConsistencyOptions::default()).unwrap();
-        assert_eq!(gaps.pairs.len(), 1, "the third one sees another wall");
-        let pair = gaps.pairs[0];
+        let found = depth_consistency(&[first, second, away], &DepthConsistencyOptions::default()).unwrap();
+        assert_eq!(found.pairs.len(), 1, "the third one sees another wall");
+        let pair = found.pairs[0];
         assert_eq!((pair.first, pair.second), (0, 1));
         assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
-        assert_eq!(gaps.median_m, Some(pair.median_m));
-        assert!(gaps.samples.is_empty());
+        assert_eq!(found.median_m, Some(pair.median_m));
+        assert!(found.samples.is_empty());
         let options = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
         let samples = depth_consistency(&[first, second, away], &options).unwrap().samples;
         assert_eq!(samples.len(), 3 * 10 * 8, "every twelfth pixel along each axis");
@@ -276,8 +276,8 @@ mod tests {
         let camera = plain_camera(24, 18);
         let holes = wall(24, 18, 0.0);
         let views = [view(&holes, &camera); 2];
-        let gaps = depth_consistency(&views, &DepthConsistencyOptions::default()).unwrap();
-        assert_eq!((gaps.pairs.len(), gaps.median_m), (0, None));
+        let found = depth_consistency(&views, &DepthConsistencyOptions::default()).unwrap();
+        assert_eq!((found.pairs.len(), found.median_m), (0, None));
         assert!(depth_consistency(&views, &DepthConsistencyOptions { stride: 0, ..Default::default() }).is_err());
         assert!(
             depth_consistency(&views, &DepthConsistencyOptions { gate_m: f64::NAN, ..Default::default() }).is_err()

@@ -1,4 +1,4 @@
-//! The first screen: verdict, traffic status, the metrics that matter, the map in 3D.
+//! The first screen: verdict, status, the metrics that matter, the map in 3D.
 
 use crate::RunResult;
 use crate::charts::{Digits, Numbers};
@@ -62,7 +62,7 @@ fn tiles(run: &RunResult) -> String {
     // Without pairs (a board alone) there are no lines to be far from.
     let fits = [
         ("Epipolar distance", "epipolar", "median_px", "median distance, nominal to calibrated"),
-        ("Points to where they were seen", "reprojection", "rms_px", "reprojection, RMS, nominal to calibrated"),
+        ("Reprojection error", "reprojection", "rms_px", "RMS, nominal to calibrated"),
     ];
     let pointer = |kind: &str, which: &str, field: &str| format!("/calibration/{kind}_{which}/{field}");
     let fit = fits.iter().find(|(_, kind, field, _)| run.number(&pointer(kind, "after", field)).is_some());
@@ -84,9 +84,9 @@ fn tiles(run: &RunResult) -> String {
     );
     out += &tile(
         "Depth consistency",
-        match run.number("/map/agreement_calibrated/median_mm") {
-            Some(_) => numbers.change("/map/agreement_nominal/median_mm", "/map/agreement_calibrated/median_mm", "mm"),
-            None => numbers.show("/map/agreement_calibrated/median_mm", Digits::Whole),
+        match run.number("/map/depth_consistency_calibrated/median_mm") {
+            Some(_) => numbers.change("/map/depth_consistency_nominal/median_mm", "/map/depth_consistency_calibrated/median_mm", "mm"),
+            None => numbers.show("/map/depth_consistency_calibrated/median_mm", Digits::Whole),
         },
         "median distance, nominal to calibrated",
     );
@@ -115,13 +115,13 @@ fn scene(run: &RunResult) -> String {
         "<fieldset><legend>Colour</legend>{}{}{}</fieldset>",
         choice("color", "photo", "Photograph", true),
         choice("color", "image", "Image", false),
-        choice("color", "gap", "Depth consistency", false)
+        choice("color", "distance", "Depth consistency", false)
     );
     let (title, what) = if map {
         (
             "The map",
             "Points of all depth images, put together by the poses of the nominal or of the calibrated rig. Where surfaces are double or \
-             blurred, the poses are wrong. Disagreement: median distance of a point to the surfaces of the other images that show it.",
+             blurred, the poses are wrong. Depth consistency: median distance of a point to the surfaces of the other images that show it.",
         )
     } else {
         (

@@ -88,7 +88,7 @@ fn solver(run: &RunResult) -> String {
         ("Cost at the end, by the last", "/calibration/termination/final_cost", Digits::Significant(4), ""),
         ("Noise of pixels, times their own sigmas", "/calibration/pixel_sigma", Digits::Significant(3), ""),
         ("Noise of a depth, sigma / depth\u{b2}", "/calibration/depth_sigma_per_m2", Digits::Significant(3), "1/m"),
-        ("Noise of the joints, sigma", "/calibration/joint_deviation_sigma_deg", Digits::Significant(3), "deg"),
+        ("Noise of the joints, sigma", "/calibration/joint_error_sigma_deg", Digits::Significant(3), "deg"),
         ("Fraction of correspondences that do not fit", "/calibration/outlier_fraction", Digits::Significant(3), ""),
     ];
     let rows: Vec<Vec<String>> = rows

@@ -22,7 +22,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
                 charts.push(chart);
             };
             // Results of programs that did not yet sum up observations have none without matches.
-            if data.residuals.postures.iter().any(|posture| posture.ends > 0) {
+            if data.residuals.postures.iter().any(|posture| posture.endpoints > 0) {
                 add(histogram(&data.residuals.histogram, data.residuals.distances), &mut html);
                 add(by_posture(data), &mut html);
             }
@@ -73,7 +73,7 @@ fn metrics(run: &RunResult) -> String {
     let held_out = format!("Held out: {}", escaped(run.text("/held_out/metric")));
     row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
     for (name, field) in [("Depth consistency, point to plane, median", "median_mm"), ("Depth consistency, point to plane, 90 %", "p90_mm")] {
-        let pointer = |which: &str| format!("/map/agreement_{which}/{field}");
+        let pointer = |which: &str| format!("/map/depth_consistency_{which}/{field}");
         row(name, "mm", &pointer("nominal"), &pointer("calibrated"));
     }
     let mut html = table(
@@ -189,10 +189,10 @@ fn aim(kind: ResidualKind) -> &'static str {
 }
 
 fn by_posture(data: &ReportData) -> Chart {
-    let seen: Vec<usize> = (0..data.postures.len()).filter(|&at| data.residuals.postures[at].ends > 0).collect();
-    let x: Vec<u64> = seen.iter().map(|&at| data.postures[at].index).collect();
+    let used: Vec<usize> = (0..data.postures.len()).filter(|&at| data.residuals.postures[at].endpoints > 0).collect();
+    let x: Vec<u64> = used.iter().map(|&at| data.postures[at].index).collect();
     let trace = |name: &str, color: &str, symbol: &str, of: &dyn Fn(usize) -> (f64, f64)| {
-        let values: Vec<(f64, f64)> = seen.iter().map(|&at| of(at)).collect();
+        let values: Vec<(f64, f64)> = used.iter().map(|&at| of(at)).collect();
         json!({
             "type": "scatter", "mode": "markers", "name": name, "x": x,
             "y": values.iter().map(|(median, _)| *median).collect::<Vec<_>>(),
@@ -206,7 +206,7 @@ fn by_posture(data: &ReportData) -> Chart {
         })
     };
     let residuals = &data.residuals.postures;
-    let pair = |ends: &skclam::report_data::Ends| (ends.median_px, ends.p90_px);
+    let pair = |quantiles: &skclam::report_data::ResidualQuantiles| (quantiles.median_px, quantiles.p90_px);
     Chart {
         id: "by-posture",
         caption: format!(
@@ -261,7 +261,7 @@ fn arrows(
     Chart {
         id,
         caption: format!(
-            "{}{}: median way from {} to where it was seen, drawn {factor} times as long; the longest is {} px.",
+            "{}{}: median offset from {} to where it was observed, drawn {factor} times as long; the longest is {} px.",
             name[..1].to_uppercase(),
             &name[1..],
             match data.residuals.arrows {
@@ -306,10 +306,10 @@ fn round(value: f64) -> f64 {
 
 fn by_joint(data: &ReportData) -> Option<Chart> {
     let joints = data.joints.len();
-    let seen: Vec<usize> = (0..data.postures.len())
-        .filter(|&at| data.residuals.postures[at].ends > 0 && data.postures[at].joints.len() == joints)
+    let used: Vec<usize> = (0..data.postures.len())
+        .filter(|&at| data.residuals.postures[at].endpoints > 0 && data.postures[at].joints.len() == joints)
         .collect();
-    if joints == 0 || seen.is_empty() {
+    if joints == 0 || used.is_empty() {
         return None;
     }
     let columns = joints.min(3);
@@ -320,7 +320,7 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
     });
     for (joint, named) in data.joints.iter().enumerate() {
         let suffix = if joint == 0 { String::new() } else { (joint + 1).to_string() };
-        let x: Vec<f64> = seen.iter().map(|&at| data.postures[at].joints[joint]).collect();
+        let x: Vec<f64> = used.iter().map(|&at| data.postures[at].joints[joint]).collect();
         let mut trace = |name: &str, color: &str, symbol: &str, y: Vec<f64>| {
             traces.push(json!({
                 "type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "showlegend": joint == 0,
@@ -330,8 +330,8 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
             }));
         };
         let residuals = &data.residuals.postures;
-        trace("nominal", NOMINAL, "diamond-open", seen.iter().map(|&at| residuals[at].before.median_px).collect());
-        trace("calibrated", CALIBRATED, "circle", seen.iter().map(|&at| residuals[at].after.median_px).collect());
+        trace("nominal", NOMINAL, "diamond-open", used.iter().map(|&at| residuals[at].before.median_px).collect());
+        trace("calibrated", CALIBRATED, "circle", used.iter().map(|&at| residuals[at].after.median_px).collect());
         // plotly.js reads a little markup in titles.
         let title = format!("joint {}: {} ({})", joint + 1, escaped(&named.name), escaped(&named.unit));
         layout[format!("xaxis{suffix}")] = json!({"title": {"text": title, "standoff": 4}});

@@ -9,7 +9,7 @@ use skclam::pipeline::{PoseSigma, PostureSource};
 
 /// From this correlation on two parameters are named as hardly separable.
 const STRONG: f64 = 0.9;
-/// Pairs that are named at the most.
+/// Pairs that are named at most.
 const NAMED: usize = 12;
 
 pub(crate) fn section(run: &RunResult) -> Section {

@@ -67,7 +67,7 @@ pub struct TargetTable {
 /// "ok", or why there is nothing to command.
 const STATUS: &str = "status";
 const POSE_COLUMNS: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"];
-/// Targets of a table at the most.
+/// Targets of a table at most.
 const MAX_TARGETS: usize = 1 << 20;
 
 /// Reads a table of targets for an arm.

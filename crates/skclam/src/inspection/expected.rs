@@ -71,7 +71,7 @@ pub struct ExpectedSigmas {
     pub rank: usize,
     /// How many combinations become known to half of their tolerance or better; the others stay about as they were before.
     pub identifiable: usize,
-    /// Greatest over smallest singular value of what is seen.
+    /// Greatest over smallest singular value of what is identifiable.
     pub condition_number: Option<f64>,
     /// What is not identifiable, and why, in words.
     pub not_identifiable: Vec<String>,

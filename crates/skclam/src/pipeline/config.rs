@@ -56,7 +56,7 @@ pub struct Config {
     pub mask: Option<MaskOptions>,
     /// Joins matches to tracks over many images; `None`: pairs alone.
     pub tracks: Option<TrackOptions>,
-    /// Observations that the estimator takes at about most, from tracks evenly over the recording; `None`: all.
+    /// Observations that the estimator takes at most (approximately), from tracks evenly over the recording; `None`: all.
     pub max_observations: Option<usize>,
     /// Aligns the patches of a track's observations to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,

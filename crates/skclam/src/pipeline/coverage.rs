@@ -27,7 +27,7 @@ pub struct MapCoverage {
 
 /// Edge of a cell, metres: what an arm's links do not pass through without touching it.
 const CELL_M: f64 = 0.05;
-/// Depth images that are looked at at the most, evenly over the recording.
+/// Depth images that are used at most, evenly over the recording.
 const MAX_IMAGES: usize = 120;
 /// Images that are decoded side by side.
 const DECODED_TOGETHER: usize = 8;

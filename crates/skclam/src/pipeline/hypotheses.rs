@@ -112,10 +112,10 @@ const MATCHES: usize = 1500;
 const MIN_GAIN: f64 = 3.0;
 /// ... and is smaller than every other hypothesis' by this one.
 const MIN_LEAD: f64 = 1.5;
-/// What a nominal arm leaves with the mount fitted, at the most: so many pixels, or that angle where it is more (its angles
+/// What a nominal arm leaves with the mount fitted, at most: so many pixels, or that angle where it is more (its angles
 /// off by half a degree each, seen at arm's length).
 const MOUNT_LEAVES: (f64, f64) = (3.0, 0.02);
-/// What it leaves with its own angles fitted too, at the most.
+/// What it leaves with its own angles fitted too, at most.
 const ANGLES_LEAVE: (f64, f64) = (3.0, 6e-3);
 /// A mount further off than this was not measured with a ruler: rotation in degrees, translation in millimetres.
 const FAR_OFF: (f64, f64) = (5.0, 50.0);

@@ -1,6 +1,6 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
-mod agreement;
+mod depth_consistency;
 mod boards;
 mod calibrate;
 mod causes;
@@ -28,7 +28,7 @@ mod sentences;
 mod validate;
 mod verdict;
 
-pub use agreement::{Agreement, AgreementSample, SurfaceAgreement, surface_agreement};
+pub use depth_consistency::{MeasuredConsistency, PointToPlaneSample, DepthConsistencySummary, measure_depth_consistency};
 pub(crate) use boards::board_alone;
 pub use boards::{BoardSummary, board_layout, find_boards};
 pub use calibrate::calibrate;

@@ -27,7 +27,7 @@ pub struct FoundMount {
 
 /// The strongest keypoints of an image that take part: every image is matched with every other.
 const KEYPOINTS: usize = 1500;
-/// Pairs that are matched at the most, evenly over all.
+/// Pairs that are matched at most, evenly over all.
 const PAIRS: usize = 3000;
 /// No camera is mounted farther from a flange.
 const FARTHEST_M: f64 = 1.0;

@@ -20,7 +20,7 @@ pub enum Pairing {
 pub struct PairingOptions {
     /// Neighbours or overlap.
     pub pairing: Pairing,
-    /// Partners of one posture at the most.
+    /// Neighbours of one posture at most.
     pub max_neighbors: usize,
     /// Least predicted overlap: the part of an image that the other shows too.
     pub min_overlap: f64,

@@ -23,7 +23,7 @@ const MIN_READINGS: f64 = 0.75;
 const MAX_SQUARES: f64 = 2.3;
 /// No sensor is better, relative to the inverse depth: what remains of exact images is the curvature of surfaces.
 const MIN_RELATIVE_SIGMA: f64 = 1e-3;
-/// Iterations at the most; with a baseline of centimetres two or three do.
+/// Iterations at most; with a baseline of centimetres two or three do.
 const MAX_ITERATIONS: usize = 12;
 /// Pixels apart at which the noise of the sensor is no longer common: windows of stereo matching are narrower.
 const FAR_PX: usize = 8;

@@ -2,7 +2,7 @@
 
 use super::front_end::{FrontEnd, front_end};
 use super::verdict::UNEXPLAINED_PX;
-use super::{Config, RunError, Status, SurfaceAgreement, localize, surface_agreement};
+use super::{Config, RunError, Status, DepthConsistencySummary, localize, measure_depth_consistency};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ pub struct Validation {
     /// Epipolar distances of the pair matches.
     pub epipolar: Rigs<EpipolarStatistics>,
     /// How far apart the depth images are; `null` without depth.
-    pub depth_agreement: Option<Rigs<SurfaceAgreement>>,
+    pub depth_consistency: Option<Rigs<DepthConsistencySummary>>,
     /// Reprojection posture by posture, where the rig under test fits worst first.
     pub by_posture: Vec<PostureMetric>,
     /// What a user should know.
@@ -126,13 +126,13 @@ pub fn validate(
         Ok(localize(dataset, rig)?.into_iter().map(|stamped| stamped.base_from_camera).collect())
     };
     let (nominal_poses, tested_poses) = (poses(&nominal.rig)?, poses(&tested.rig)?);
-    let [before, after] = surface_agreement(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
-    let depth_agreement =
+    let [before, after] = measure_depth_consistency(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
+    let depth_consistency =
         before.surfaces.zip(after.surfaces).map(|(nominal, calibrated)| Rigs { nominal, mount_only: None, calibrated });
     let refit = refit.map(label).unwrap_or_default();
-    let case = case(metric_px, &comparison, depth_agreement.as_ref());
+    let case = case(metric_px, &comparison, depth_consistency.as_ref());
     Ok(Validation {
-        verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_agreement.as_ref()),
+        verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_consistency.as_ref()),
         status: case.status(),
         case,
         by_posture,
@@ -145,7 +145,7 @@ pub fn validate(
         metric_px,
         reprojection: comparison.reprojection,
         epipolar: comparison.epipolar,
-        depth_agreement,
+        depth_consistency,
         warnings: Vec::new(),
     })
 }
@@ -180,7 +180,7 @@ const UNEXPLAINED_RMS_PX: f64 = 5.0;
 /// Metrics nearer to each other than this are the same.
 const SAME_PX: f64 = 1e-6;
 
-fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<SurfaceAgreement>>) -> ValidationCase {
+fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<DepthConsistencySummary>>) -> ValidationCase {
     let lines = comparison.epipolar.calibrated;
     let observations = comparison.reprojection.calibrated;
     let left_out = 1.0 - observations.inliers as f64 / observations.observations.max(1) as f64;
@@ -205,7 +205,7 @@ fn sentence(
     px: Rigs<f64>,
     refit: &str,
     comparison: &Comparison,
-    depth: Option<&Rigs<SurfaceAgreement>>,
+    depth: Option<&Rigs<DepthConsistencySummary>>,
 ) -> String {
     let with = if refit.is_empty() { String::new() } else { format!(", after fitting {refit} of both anew") };
     let observations = comparison.reprojection.calibrated;
@@ -247,7 +247,7 @@ mod tests {
             let observations = ReprojectionStatistics { observations: 100, inliers, rms_px, ..Default::default() };
             let comparison =
                 Comparison { reprojection: rigs(observations, observations), epipolar: rigs(lines, lines) };
-            let surfaces = |median_mm| SurfaceAgreement { median_mm, ..Default::default() };
+            let surfaces = |median_mm| DepthConsistencySummary { median_mm, ..Default::default() };
             let depth = rigs(surfaces(5.0), surfaces(apart));
             let px = rigs(px[0], px[1]);
             let case = case(px, &comparison, Some(&depth));

@@ -3,7 +3,7 @@
 
 use super::Packed;
 use crate::dataset::Dataset;
-use crate::pipeline::{AgreementSample, RunError};
+use crate::pipeline::{PointToPlaneSample, RunError};
 use image::GrayImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,7 @@ pub fn sample_map(
     dataset: &Dataset,
     rig: &Rig,
     found_mask: Option<&GrayImage>,
-    samples: [&[AgreementSample]; 2],
+    samples: [&[PointToPlaneSample]; 2],
 ) -> Result<Option<MapSamples>, RunError> {
     let Some(depth_camera) = rig.depth else { return Ok(None) };
     let [calibrated, nominal] = samples;
@@ -48,7 +48,7 @@ pub fn sample_map(
     let own_mask = dataset.color_mask()?;
     let mask = own_mask.as_ref().or(found_mask);
     // Runs of samples of one posture.
-    let groups: Vec<&[AgreementSample]> = calibrated.chunk_by(|x, y| x.posture == y.posture).collect();
+    let groups: Vec<&[PointToPlaneSample]> = calibrated.chunk_by(|x, y| x.posture == y.posture).collect();
     let colors: Vec<Vec<Option<[u8; 3]>>> = groups
         .par_iter()
         .map(|group| {
@@ -78,9 +78,9 @@ pub fn sample_map(
         .collect::<Result<_, RunError>>()?;
     let colors: Vec<Option<[u8; 3]>> = colors.into_iter().flatten().collect();
     let kept: Vec<usize> = (0..colors.len()).filter(|&k| colors[k].is_some()).collect();
-    let positions = |samples: &[AgreementSample]| Packed::of_f32(kept.iter().flat_map(|&k| samples[k].point_in_base));
-    let gaps = |samples: &[AgreementSample]| {
-        let mm = |gap_m: f32| (gap_m * 1e5).round() / 1e2;
+    let positions = |samples: &[PointToPlaneSample]| Packed::of_f32(kept.iter().flat_map(|&k| samples[k].point_in_base));
+    let millimetres = |samples: &[PointToPlaneSample]| {
+        let mm = |distance_m: f32| (distance_m * 1e5).round() / 1e2;
         Packed::of_f32(kept.iter().map(|&k| samples[k].median_m.map_or(f32::NAN, mm)))
     };
     Ok(Some(MapSamples {
@@ -89,7 +89,7 @@ pub fn sample_map(
         calibrated_m: positions(calibrated),
         colors: Packed::of_u8(&kept.iter().filter_map(|&k| colors[k]).flatten().collect::<Vec<u8>>()),
         postures: Packed::of_u16(kept.iter().map(|&k| calibrated[k].posture.min(usize::from(u16::MAX)) as u16)),
-        point_to_plane_nominal_mm: gaps(nominal),
-        point_to_plane_calibrated_mm: gaps(calibrated),
+        point_to_plane_nominal_mm: millimetres(nominal),
+        point_to_plane_calibrated_mm: millimetres(calibrated),
     }))
 }

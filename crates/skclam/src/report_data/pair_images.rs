@@ -1,6 +1,6 @@
 //! The worst, the median and the best pair as small images, with some matches and their epipolar lines before and after.
 
-use super::residuals::PairEnds;
+use super::residuals::PairResidualVectors;
 use super::{EmbeddedImage, Packed, PairResiduals, ResidualData, rounded};
 use crate::dataset::{Dataset, DatasetError};
 use crate::pipeline::RunError;
@@ -58,7 +58,7 @@ pub fn pair_images(
     data: &Correspondences,
     calibrated: &Model,
     residuals: &ResidualData,
-    per_match: &[PairEnds],
+    per_match: &[PairResidualVectors],
 ) -> Result<Vec<PairImages>, RunError> {
     let nominal = Model::new(dataset.rig.clone());
     let poses = [camera_poses(&nominal, &data.postures)?, camera_poses(calibrated, &data.postures)?];

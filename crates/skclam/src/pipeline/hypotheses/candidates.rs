@@ -7,7 +7,7 @@ use skclam_geometry::Isometry3;
 use skclam_kinematics::{Joint, JointKind, LinkForm, SerialChain};
 use skclam_rig::{Posture, PostureState, Rig};
 
-/// Rows by which postures are shifted at the most.
+/// Rows by which postures are shifted at most.
 const MAX_SHIFT: i64 = 5;
 
 /// A data set as it would be without the mistake.

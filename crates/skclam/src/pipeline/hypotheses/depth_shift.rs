@@ -26,9 +26,9 @@ pub struct DepthShift {
     pub points: usize,
 }
 
-/// Rows by which depth images are shifted at the most.
+/// Rows by which depth images are shifted at most.
 const MAX_SHIFT: i64 = 3;
-/// Tracks that take part at the most.
+/// Tracks that take part at most.
 const TRACKS: usize = 4000;
 /// Points of fewer rays, or rays that meet at less than this angle (1 deg), say little about a depth.
 const MIN_RAYS: usize = 3;

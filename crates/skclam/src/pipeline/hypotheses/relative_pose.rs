@@ -8,7 +8,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Translation3, Unit, UnitQuaternion, Vector2, Vector3};
 use skclam_geometry::{FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
 
-/// Matches that take part at the most.
+/// Matches that take part at most.
 const MATCHES: usize = 120;
 /// Steps of one minimisation at most.
 const STEPS: usize = 15;
