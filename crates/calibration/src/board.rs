@@ -85,14 +85,14 @@ fn lay(start: Isometry3, seen: &[(Isometry3, Point3, Pixel)], camera: &PinholeCa
             seen.iter().filter_map(|observation| Some(residual(&pose, observation, camera)?.0.norm())).collect();
         let loss = Loss::Cauchy(5.0);
         let sigma = (median(&mut distances) / 1.18).max(1e-9);
-        let (mut information, mut rhs) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
+        let (mut normal_matrix, mut rhs) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
         for observation in seen {
             let Some((difference, jacobian)) = residual(&pose, observation, camera) else { continue };
             let weight = loss.weight(difference.norm() / sigma);
-            information += jacobian.transpose() * jacobian * weight;
+            normal_matrix += jacobian.transpose() * jacobian * weight;
             rhs += jacobian.transpose() * difference * weight;
         }
-        let Some(step) = information.cholesky().map(|factor| factor.solve(&rhs)) else { break };
+        let Some(step) = normal_matrix.cholesky().map(|factor| factor.solve(&rhs)) else { break };
         pose *= Isometry3::new(step.fixed_rows::<3>(0).into_owned(), step.fixed_rows::<3>(3).into_owned());
         pose.rotation.renormalize();
         if step.norm() < 1e-12 {

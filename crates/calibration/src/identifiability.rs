@@ -65,17 +65,17 @@ pub enum UnobservableCause {
     Postures,
 }
 
-/// Rank, indices and names from the information matrix of the data (natural units, no priors).
+/// Rank, indices and names from the normal matrix of the data (natural units, no priors).
 pub(crate) fn identify(
     model: &Model,
     postures: &[Posture],
     parameters: &[Parameter],
-    information: &DMatrix<f64>,
+    normal_matrix: &DMatrix<f64>,
 ) -> Identifiability {
     let count = parameters.len();
     let scales = DVector::from_iterator(count, parameters.iter().map(|p| p.scale()));
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (information[(i, j)] + information[(j, i)]) * scales[i] * scales[j]
+        0.5 * (normal_matrix[(i, j)] + normal_matrix[(j, i)]) * scales[i] * scales[j]
     });
     let eigen = scaled.symmetric_eigen();
     let mut order: Vec<usize> = (0..count).collect();

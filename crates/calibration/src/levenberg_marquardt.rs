@@ -116,7 +116,7 @@ pub(crate) fn minimize<S>(
 
 /// Solves `(H + damping diag(H)) x = g` for a symmetric positive semidefinite `H`; unknowns that nothing sees stay.
 pub(crate) fn damped_solve(
-    information: &DMatrix<f64>,
+    normal_matrix: &DMatrix<f64>,
     rhs: &DVector<f64>,
     parameters: &[Parameter],
     damping: f64,
@@ -124,14 +124,14 @@ pub(crate) fn damped_solve(
     let count = rhs.len();
     // Unknowns behind the parameters (board, joint errors) are radians and metres too.
     let unit = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale()).powi(2);
-    let greatest = (0..count).map(|k| information[(k, k)] * unit(k)).fold(0.0, f64::max);
+    let greatest = (0..count).map(|k| normal_matrix[(k, k)] * unit(k)).fold(0.0, f64::max);
     // Jacobi scaling: the factorisation then sees a unit diagonal whatever the units.
     let scale = DVector::from_fn(count, |k, _| {
-        let diagonal = information[(k, k)];
+        let diagonal = normal_matrix[(k, k)];
         if diagonal * unit(k) > UNOBSERVABLE * greatest { 1.0 / diagonal.sqrt() } else { 0.0 }
     });
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        let value = information[(i, j)] * scale[i] * scale[j];
+        let value = normal_matrix[(i, j)] * scale[i] * scale[j];
         if i != j {
             value
         } else if scale[i] == 0.0 {
@@ -164,8 +164,8 @@ pub(crate) fn scaled_norm(parameters: &[Parameter], step: &DVector<f64>) -> f64 
 }
 
 /// What the linear model promises: `g x - x H x / 2`.
-pub(crate) fn predicted_gain(information: &DMatrix<f64>, rhs: &DVector<f64>, step: &DVector<f64>) -> f64 {
-    rhs.dot(step) - 0.5 * step.dot(&(information * step))
+pub(crate) fn predicted_gain(normal_matrix: &DMatrix<f64>, rhs: &DVector<f64>, step: &DVector<f64>) -> f64 {
+    rhs.dot(step) - 0.5 * step.dot(&(normal_matrix * step))
 }
 
 #[cfg(test)]

@@ -40,11 +40,11 @@ pub fn pose_covariances(
 ) -> Result<Option<Vec<PoseCovariance>>, CalibrationError> {
     let Some(covariance) = &calibration.covariance else { return Ok(None) };
     let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
-    spread_to_poses(nominal, &calibration.model, &parameters, covariance, postures).map(Some)
+    propagate_to_poses(nominal, &calibration.model, &parameters, covariance, postures).map(Some)
 }
 
 /// The same of a model and the covariance of its parameters.
-pub(crate) fn spread_to_poses(
+pub(crate) fn propagate_to_poses(
     nominal: &Rig,
     model: &Model,
     parameters: &[Parameter],

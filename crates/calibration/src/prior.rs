@@ -198,7 +198,7 @@ impl Priors {
         nominal: &Rig,
         model: &Model,
         parameters: &[Parameter],
-        information: &mut DMatrix<f64>,
+        normal_matrix: &mut DMatrix<f64>,
         rhs: &mut DVector<f64>,
     ) {
         let offsets = Self::offsets(nominal, model, parameters);
@@ -212,7 +212,7 @@ impl Priors {
             let Some(sigma) = sigma else { continue };
             let weight = 1.0 / (sigma * sigma);
             let Some(component) = rotation(parameter) else {
-                information[(row, row)] += weight;
+                normal_matrix[(row, row)] += weight;
                 rhs[row] -= weight * offsets[row];
                 continue;
             };
@@ -223,7 +223,7 @@ impl Priors {
                 rhs[i] -= weight * derivative(at_i) * turn[component.axis()];
                 for (j, q) in parameters.iter().enumerate() {
                     if let Some(at_j) = rotation(*q) {
-                        information[(i, j)] += weight * derivative(at_i) * derivative(at_j);
+                        normal_matrix[(i, j)] += weight * derivative(at_i) * derivative(at_j);
                     }
                 }
             }
@@ -256,9 +256,9 @@ mod tests {
         let model = Model::new(perturbed(&nominal, &Free::Auto, errors, &mut seeded(2)));
         let parameters = Free::All.candidates(&nominal, true, true).unwrap();
         let priors = Priors::new(&nominal, &Free::All, PriorPolicy::Auto, &parameters);
-        let mut information = DMatrix::zeros(parameters.len(), parameters.len());
+        let mut normal_matrix = DMatrix::zeros(parameters.len(), parameters.len());
         let mut rhs = DVector::zeros(parameters.len());
-        priors.add_to(&nominal, &model, &parameters, &mut information, &mut rhs);
+        priors.add_to(&nominal, &model, &parameters, &mut normal_matrix, &mut rhs);
         for (k, &parameter) in parameters.iter().enumerate() {
             let step = 1e-6 * priors.sigmas[k].unwrap();
             let at = |change| priors.cost(&nominal, &model.stepped(&[parameter], &[change]).unwrap(), &parameters);
@@ -266,7 +266,7 @@ mod tests {
             let scale = 1.0 / priors.sigmas[k].unwrap();
             assert!((slope + rhs[k]).abs() < 1e-4 * scale.max(slope.abs()), "{parameter}: {slope} {}", rhs[k]);
         }
-        assert!((&information - information.transpose()).amax() < 1e-9 * information.amax());
+        assert!((&normal_matrix - normal_matrix.transpose()).amax() < 1e-9 * normal_matrix.amax());
     }
 
     #[test]

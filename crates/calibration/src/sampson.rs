@@ -8,7 +8,7 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3, Vector6};
 use skclam_geometry::{INTRINSICS, Isometry3, PinholeCamera, Pixel, Point3, essential_matrix};
 
-/// One end of a match: where it looks, and how its pixel turns that.
+/// One endpoint of a match: where it looks, and how its pixel turns that.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bearing {
     /// `(x/z, y/z, 1)`.

@@ -24,7 +24,7 @@ pub enum StopReason {
     },
     /// The last step was short beside the standard deviations.
     SigmasConverged {
-        /// Length of the step in the metric of the information matrix: sigmas, all unknowns together.
+        /// Length of the step in the norm of the normal matrix: sigmas, all unknowns together.
         sigmas: f64,
         /// What it had to fall below.
         threshold: f64,

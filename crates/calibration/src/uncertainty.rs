@@ -11,12 +11,12 @@ const SILENT: f64 = 0.9;
 /// A parameter whose fraction in an unobservable direction is above this gets no sigma.
 const TIED: f64 = 0.02;
 
-/// Inverse of an information matrix in the units of its parameters. Directions without information are left out (zero variance): their
+/// Inverse of an normal matrix in the units of its parameters. Directions without information are left out (zero variance): their
 /// parameters get no sigma.
-pub(crate) fn covariance(information: &DMatrix<f64>, parameters: &[Parameter]) -> DMatrix<f64> {
+pub(crate) fn covariance(normal_matrix: &DMatrix<f64>, parameters: &[Parameter]) -> DMatrix<f64> {
     let count = parameters.len();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (information[(i, j)] + information[(j, i)]) * parameters[i].scale() * parameters[j].scale()
+        0.5 * (normal_matrix[(i, j)] + normal_matrix[(j, i)]) * parameters[i].scale() * parameters[j].scale()
     });
     // Eigenvalues are lost below the rounding of the greatest, so equalise the diagonal first.
     let level = DVector::from_fn(count, |k, _| if scaled[(k, k)] > 0.0 { 1.0 / scaled[(k, k)].sqrt() } else { 0.0 });
@@ -98,8 +98,8 @@ mod tests {
             Parameter::Mount(MountComponent::TranslationX),
             Parameter::Intrinsic(Intrinsic::Fx),
         ];
-        let information = DMatrix::from_row_slice(3, 3, &[1e12, 2e9, 1e3, 2e9, 1e8, 1e2, 1e3, 1e2, 1e-2]);
-        let inverse = covariance(&information, &parameters);
-        assert!((&information * &inverse - DMatrix::identity(3, 3)).amax() < 1e-6);
+        let normal_matrix = DMatrix::from_row_slice(3, 3, &[1e12, 2e9, 1e3, 2e9, 1e8, 1e2, 1e3, 1e2, 1e-2]);
+        let inverse = covariance(&normal_matrix, &parameters);
+        assert!((&normal_matrix * &inverse - DMatrix::identity(3, 3)).amax() < 1e-6);
     }
 }

@@ -220,7 +220,7 @@ pub(crate) fn posed_state(
     Ok(state)
 }
 
-/// Eliminates all unknowns but the first `count`: their information when the others are free.
+/// Eliminates all unknowns but the first `count`: their normal matrix when the others are free.
 pub(crate) fn marginal(normal: &DMatrix<f64>, count: usize) -> DMatrix<f64> {
     let total = normal.nrows();
     let own = normal.view((0, 0), (count, count)).into_owned();

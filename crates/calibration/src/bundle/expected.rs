@@ -11,7 +11,7 @@ use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
 use crate::camera_kinematics::CameraKinematics;
-use crate::pose_covariance::spread_to_poses;
+use crate::pose_covariance::propagate_to_poses;
 use crate::prior::Priors;
 use crate::uncertainty::{covariance, describe};
 use crate::{
@@ -138,7 +138,7 @@ pub fn expected_calibration(
     let normal = inputs.with_instruments(&parameters);
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
-    let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
+    let poses = propagate_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
     Ok(ExpectedCalibration { parameters: estimates, covariance, identifiability, poses })
 }
 

@@ -1,7 +1,7 @@
 //! Normal equations whose unknowns are camera twists, the board's twist and the parameters common to all observations.
 //!
 //! Twists are those of the base frame. With `T(X) = [I, -[X]x]` a camera's twist moves what it sees of a point `X` by `-T xi`, so that an observation of
-//! information `B` adds `T^T B T`, and every block of the Schur complement is a 3 x 3 between two `T`.
+//! normal matrix `B` adds `T^T B T`, and every block of the Schur complement is a 3 x 3 between two `T`.
 
 use crate::bundle::observations::CornerObservation;
 use crate::bundle::projection_model::{BOARD_SCALE, ProjectionModel, SHARED};

@@ -62,7 +62,7 @@ pub(super) fn grids(
     // Markers at the board's edge contradict the wrong beginning.
     let most = labellings.iter().map(|(cells, ..)| *cells).max().unwrap_or(0);
     labellings.retain(|(cells, ..)| *cells == most && most > 0);
-    let grown = labellings.iter().map(|(_, pattern, placed)| GridGrowth { image, layout, pattern }.grown(placed));
+    let grown = labellings.iter().map(|(_, pattern, placed)| ExtendedGrid { image, layout, pattern }.grown(placed));
     (grown.filter(|grid| !grid.corners.is_empty()).collect(), labellings.len() > 1)
 }
 
@@ -131,13 +131,13 @@ fn agreeing(placed: Vec<Placed>) -> Vec<Placed> {
 }
 
 /// What corners are looked for in.
-struct GridGrowth<'a> {
+struct ExtendedGrid<'a> {
     image: &'a Plane,
     layout: &'a BoardLayout,
     pattern: &'a Pattern<'a>,
 }
 
-impl GridGrowth<'_> {
+impl ExtendedGrid<'_> {
     fn grown(&self, placed: &[Placed]) -> Grid {
         let mut predicted: BTreeMap<(i32, i32), Vec<&Matrix3<f64>>> = BTreeMap::new();
         for marker in placed {

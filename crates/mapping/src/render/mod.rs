@@ -3,7 +3,7 @@
 //! Points are drawn as discs of a given radius, triangles by scan conversion, both with a depth buffer at several
 //! samples a pixel. Eye-dome lighting (Boucheny 2009: darken what lies behind its neighbours on the screen) makes depth
 //! readable where there is no other light; normals, where there are any, add a soft light from the viewer. Surfaces that
-//! turn their back to the viewer are left out, so that one can look into a room through its walls.
+//! turn their back to the viewer are left out, so that one can look into a closed cell through its walls.
 
 mod camera;
 mod raster;
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BackFaces {
-    /// They are left out: one looks into a room through its walls.
+    /// They are left out: one looks into a closed cell through its walls.
     #[default]
     Hidden,
     /// They are drawn like any other.

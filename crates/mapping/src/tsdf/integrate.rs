@@ -165,7 +165,7 @@ fn update_row(update: &Update<'_>, pixels: &Row<&Pixel>, depth: &Row, [px, py, p
         // Behind the surface nothing is known.
         let known = (depth[x] > 0.0) & (to_plane >= -truncation) & (along_axis >= -DEEPEST * truncation);
         // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
-        // distance do not pull it away.
+        // distance do not move it away.
         let free = (to_plane > truncation) | (along_axis > DEEPEST * truncation);
         distance[x] = if free { update.truncation_m } else { to_plane };
         let falling = (to_plane + truncation) / (truncation - update.falloff_m);

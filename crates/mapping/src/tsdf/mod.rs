@@ -31,7 +31,7 @@ use frame::{Frame, FrameBuffers};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::PinholeCamera;
 
-/// Whether existing voxels that are seen to be free are pulled towards free.
+/// Whether existing voxels that are observed to be free are moved towards free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpaceCarving {

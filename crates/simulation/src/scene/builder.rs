@@ -54,7 +54,7 @@ pub(crate) struct CuboidMaterials {
 
 impl CuboidMaterials {
     /// All sides and the top alike, nothing below.
-    pub fn standing(material: Material) -> Self {
+    pub fn freestanding(material: Material) -> Self {
         CuboidMaterials { top: Some(material), bottom: None, sides: [Some(material); 4] }
     }
 
