@@ -41,25 +41,32 @@ fn far_starts(starts: usize) {
         mount_length: 0.05 / 3f64.sqrt(),
         fixed_size: true,
     };
-    report("3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment", starts, |seed| {
-        let mut rng = seeded(10_000 + seed);
-        let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
-        let postures = diverse_postures(&hp3j(), 40, &mut rng);
-        let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
-        let data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
-        // So far off are no tolerances of manufacture: the priors would only bias the answer.
-        let options =
-            BundleOptions { priors: PriorPolicy::Never, posture_errors: PostureErrorPolicy::Off, ..Default::default() };
-        let found = calibrate_bundle(&hp3j(), &data, &options).ok()?;
-        let out = found.warnings.iter().filter_map(|w| match w {
-            Warning::OutlierPosture { posture, excluded: true, .. } => Some(*posture),
-            _ => None,
-        });
-        let out: Vec<usize> = out.collect();
-        let kept: Vec<_> =
-            postures.iter().enumerate().filter(|(k, _)| !out.contains(k)).map(|(_, p)| p.clone()).collect();
-        Some(camera_error(&truth, &found.model.rig, &kept))
-    });
+    report(
+        "3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment",
+        starts,
+        |seed| {
+            let mut rng = seeded(10_000 + seed);
+            let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
+            let postures = diverse_postures(&hp3j(), 40, &mut rng);
+            let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
+            let data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
+            // So far off are no tolerances of manufacture: the priors would only bias the answer.
+            let options = BundleOptions {
+                priors: PriorPolicy::Never,
+                posture_errors: PostureErrorPolicy::Off,
+                ..Default::default()
+            };
+            let found = calibrate_bundle(&hp3j(), &data, &options).ok()?;
+            let out = found.warnings.iter().filter_map(|w| match w {
+                Warning::OutlierPosture { posture, excluded: true, .. } => Some(*posture),
+                _ => None,
+            });
+            let out: Vec<usize> = out.collect();
+            let kept: Vec<_> =
+                postures.iter().enumerate().filter(|(k, _)| !out.contains(k)).map(|(_, p)| p.clone()).collect();
+            Some(camera_error(&truth, &found.model.rig, &kept))
+        },
+    );
 }
 
 /// Nothing known of the mount.

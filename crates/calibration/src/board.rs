@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn one_image_tells_where_the_board_is() {
+    fn one_image_gives_the_pose_of_the_board() {
         let (_, truth, pose, data) = recording(0.0, 31);
         let board = truth.board.as_ref().unwrap();
         for seen in &data.boards {

@@ -1,4 +1,4 @@
-//! Match by match, how far a pixel is from the epipolar line of its partner, as a vector: what a plot of systematic
+//! Match by match, how far a pixel is from its epipolar line, as a vector: what a plot of systematic
 //! patterns needs and what the metrics of [`epipolar_statistics`](crate::epipolar_statistics) are made of.
 
 use crate::camera_kinematics::CameraKinematics;

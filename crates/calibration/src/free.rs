@@ -90,7 +90,7 @@ impl Free {
     }
 
     /// The ordered list of parameters that the selection means before the data are used: arm (base to flange), mount,
-    /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base end (what
+    /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base gauge (what
     /// moves the whole world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
     /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. What cameras and board are off is free
     /// too, within the tolerances of such devices ([`default_sigma`](crate::default_sigma)): it would else be booked on the arm.

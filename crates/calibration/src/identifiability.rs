@@ -233,7 +233,7 @@ fn is_scale(direction: &DVector<f64>, model: &Model, parameters: &[Parameter]) -
             value / parameter.scale()
         }),
     );
-    // Base-end and hand-end lengths may have been eliminated from the direction, so compare where it speaks.
+    // Lengths of the base and tool gauges may have been eliminated from the direction, so compare where it is not zero.
     let masked = scaling.zip_map(direction, |g, d| if d == 0.0 { 0.0 } else { g });
     let (a, b) = (masked.norm(), direction.norm());
     a > 0.0 && b > 0.0 && (masked.dot(direction) / (a * b)).abs() > 0.98

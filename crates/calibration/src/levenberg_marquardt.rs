@@ -70,7 +70,7 @@ pub(crate) fn minimize<S>(
                 continue;
             }
             // No step improves the cost: what was reached is kept, and does not count as converged.
-            Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoDescent { damping },
+            Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoProgress { damping },
             other => other?,
         };
         iterations += 1;
@@ -107,7 +107,7 @@ pub(crate) fn minimize<S>(
             }
             damping = (damping * 8.0).max(1e-6);
             if damping > GREATEST_DAMPING {
-                break StopReason::NoDescent { damping };
+                break StopReason::NoProgress { damping };
             }
         }
     };
@@ -178,8 +178,12 @@ mod tests {
         let residuals = |x: &DVector<f64>| DVector::from_vec(vec![1.0 - x[0], 10.0 * (x[1] - x[0] * x[0])]);
         let cost = |x: &DVector<f64>| 0.5 * residuals(x).norm_squared();
         let start = DVector::from_vec(vec![-1.2, 1.0]);
-        let limits =
-            MinimizationLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12, sigma_tolerance: 0.0 };
+        let limits = MinimizationLimits {
+            max_iterations: 200,
+            cost_tolerance: 1e-14,
+            step_tolerance: 1e-12,
+            sigma_tolerance: 0.0,
+        };
         let result = minimize(start.clone(), cost(&start), limits, |x, damping| {
             let jacobian = DMatrix::from_row_slice(2, 2, &[-1.0, 0.0, -20.0 * x[0], 10.0]);
             let (h, g) = (jacobian.transpose() * &jacobian, -jacobian.transpose() * residuals(x));

@@ -9,7 +9,7 @@ use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
 use crate::identifiability::identify;
 use crate::levenberg_marquardt::{
-    MinimizationLimits, Minimization, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
+    Minimization, MinimizationLimits, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::pairwise_system::{Linearized, PairwiseSystem};
 use crate::prior::Priors;
@@ -284,7 +284,7 @@ pub fn calibrate_pairwise_from(
         }
         Search::Off => (start.clone(), noise_scale(&system.residuals(start)?)),
     };
-    let dof = degrees_of_freedom_factor(matches, parameters.len());
+    let dof = dof_factor(matches, parameters.len());
     let mut round = Round { loss: options.loss, sigma: (sigma * dof).max(EXACT_PX) };
     let initial_cost = problem.cost(&system, start, &round)?;
     let (residuals, reason, final_cost) = loop {
@@ -381,7 +381,7 @@ fn free_parameters(free: &Free, nominal: &Rig, motion: &CameraKinematics) -> Res
     Ok(parameters)
 }
 
-fn degrees_of_freedom_factor(residuals: usize, parameters: usize) -> f64 {
+fn dof_factor(residuals: usize, parameters: usize) -> f64 {
     (residuals as f64 / residuals.saturating_sub(parameters).max(1) as f64).sqrt()
 }
 

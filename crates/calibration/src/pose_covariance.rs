@@ -147,7 +147,7 @@ impl AlignedVariance {
     }
 
     /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions (Satterthwaite 1946).
-    pub(crate) fn degrees_of_freedom(&self, covariance: &DMatrix<f64>) -> f64 {
+    pub(crate) fn dof(&self, covariance: &DMatrix<f64>) -> f64 {
         let product = self.cameras.jacobian.tr_mul(&self.cameras.jacobian) * covariance;
         product.trace().powi(2) / (&product * &product).trace().max(f64::MIN_POSITIVE)
     }
@@ -245,7 +245,7 @@ mod tests {
         let nominal = hp3j();
         let postures = diverse_postures(&nominal, 20, &mut rng);
         let data = record(&nominal, &postures, &box_points(400, &mut rng), half_pixel(), &mut rng);
-        // All of the arm; its base end is a rigid motion.
+        // All of the arm; its base gauge is a rigid motion.
         let options = BundleOptions {
             free: Free::parse("alpha_1,a_1,theta_offset_1,d_1,theta_offset_3", &nominal).unwrap(),
             posture_errors: PostureErrorPolicy::Off,

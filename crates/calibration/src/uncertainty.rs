@@ -29,7 +29,11 @@ pub(crate) fn covariance(normal_matrix: &DMatrix<f64>, parameters: &[Parameter])
     });
     let covariance = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
     DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (covariance[(i, j)] + covariance[(j, i)]) * level[i] * level[j] * parameters[i].scale() * parameters[j].scale()
+        0.5 * (covariance[(i, j)] + covariance[(j, i)])
+            * level[i]
+            * level[j]
+            * parameters[i].scale()
+            * parameters[j].scale()
     })
 }
 

@@ -141,7 +141,8 @@ fn images_of_another_place_than_the_joints_say() {
     let output = skclam(&["run", utf8(copy.path()), "--free", "angles", "--out", utf8(&out)]);
     let said = text(&output.stderr) + &text(&output.stdout);
     // Refused for lack of matches, or done with a verdict that warns; never praised.
-    let refused = said.contains("enough matches") || said.contains("matches are needed") || said.contains("DO NOT TRUST");
+    let refused =
+        said.contains("enough matches") || said.contains("matches are needed") || said.contains("DO NOT TRUST");
     assert!(refused, "{said}");
 }
 

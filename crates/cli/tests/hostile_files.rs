@@ -297,7 +297,7 @@ fn an_import_over_another_leaves_nothing_of_it_beside_the_new_one() {
 }
 
 #[test]
-fn a_slip_in_the_data_is_told_as_one() {
+fn a_slip_in_the_data_is_reported_as_one() {
     let refused = |from: &str, to: &str, expected: &[&str]| {
         let copy = small_copy(12);
         edit(copy.path(), "rig.toml", from, to);

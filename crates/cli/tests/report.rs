@@ -63,7 +63,9 @@ fn the_page_shows_the_summary_and_is_built_again_from_the_folder() {
         serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
     let numbers = check_numbers(&page, &summary);
     assert!(numbers > 120, "only {numbers} numbers");
-    for needed in ["/calibration/epipolar_after/median_px", "/map/depth_consistency_calibrated/median_mm", "/peak_memory_mib"] {
+    for needed in
+        ["/calibration/epipolar_after/median_px", "/map/depth_consistency_calibrated/median_mm", "/peak_memory_mib"]
+    {
         assert!(page.contains(&format!("data-from=\"{needed}\"")), "{needed} is not shown");
     }
     let parameters = summary["calibration"]["parameters"].as_array().unwrap().len();
@@ -106,7 +108,7 @@ fn names_from_outside_do_not_become_markup() {
 }
 
 #[test]
-fn results_stand_side_by_side_within_80_columns() {
+fn results_are_compared_within_80_columns() {
     let folder = tempfile::tempdir().unwrap();
     let dataset = small_copy(6);
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));

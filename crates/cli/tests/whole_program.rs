@@ -122,7 +122,7 @@ fn a_mount_that_nobody_knows_is_found() {
 }
 
 #[test]
-fn the_papers_method_beats_the_papers_figures() {
+fn the_papers_method_beats_the_papers_results() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("result");
     succeed(&["calibrate", utf8(cell()), "--preset", "paper", "--quiet", "--out", utf8(&out)]);

@@ -60,7 +60,7 @@ const UNOBSERVABLE: f64 = 1e-6;
 /// Radians weigh as this many metres.
 const METRES_PER_RADIAN: f64 = 0.3;
 /// A parameter is identifiable by itself when no more than this part of it (squared) lies in unobservable combinations.
-const UNSEEN_FRACTION: f64 = 0.01;
+const UNOBSERVABLE_FRACTION: f64 = 0.01;
 
 /// Judges a calibration from `nominal` by the true rig, whose cameras at some postures are `truth_at`.
 ///
@@ -110,7 +110,7 @@ pub fn score(nominal: &Rig, truth: &Rig, calibration: &Calibration, truth_at: &T
             name: parameter.to_string(),
             error: error[k] * unit,
             sigma: scaled[(k, k)].max(0.0).sqrt() * unit,
-            identifiable: 1.0 - basis.row(k).norm_squared() < UNSEEN_FRACTION,
+            identifiable: 1.0 - basis.row(k).norm_squared() < UNOBSERVABLE_FRACTION,
             moves_camera: parameter.moves_camera(),
         }
     });

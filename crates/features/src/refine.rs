@@ -15,7 +15,7 @@ mod pyramid;
 pub use pyramid::Pyramid;
 
 use crate::{FeaturesError, KeyPoint};
-use align::{Fit, Freedom, Template, Warp};
+use align::{Fit, Template, Warp, WarpDof};
 use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
 use pyramid::{Cubic, Level};
 use rayon::prelude::*;
@@ -344,8 +344,8 @@ fn refine_at(
         let Bend(factors) = bend(&(warp.linear * (scale_b / scale_a)), &Point2::from(warp.centre * scale_b))?;
         Some(factors.map(|axis| axis.map(|factor| (factor * scale_a * scale_a / scale_b) as f32)))
     };
-    let (warp, freedom) = come_to_rest(template, level, start, &bent, reach, options)?;
-    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
+    let (warp, dof) = come_to_rest(template, level, start, &bent, reach, options)?;
+    let Fit { correlation, covariance } = template.fit(&warp, dof).ok_or(Rejection::NoTexture)?;
     if correlation < options.min_correlation {
         return Err(Rejection::PoorCorrelation);
     }
@@ -366,30 +366,30 @@ fn come_to_rest(
     bent: &dyn Fn(&Warp) -> Option<[[f32; 3]; 2]>,
     reach: f64,
     options: &RefineOptions,
-) -> Result<(Warp, Freedom), Rejection> {
+) -> Result<(Warp, WarpDof), Rejection> {
     let mut warp = start;
     let reach = reach * start.linear.determinant().sqrt();
-    let mut freedom = Freedom::Shift;
+    let mut dof = WarpDof::Shift;
     let mut is_bent = false;
     for iteration in 0..options.max_iterations {
-        let moved = template.step(level, &mut warp, freedom).ok_or(Rejection::OutsideImage)?;
+        let moved = template.step(level, &mut warp, dof).ok_or(Rejection::OutsideImage)?;
         let change = warp.linear.determinant() / start.linear.determinant();
         if (warp.centre - start.centre).norm() > reach || !(0.4..2.5).contains(&change) {
             return Err(Rejection::MovedTooFar);
         }
-        match (options.model, freedom) {
+        match (options.model, dof) {
             // First the shift alone: the linear part of a displaced patch is noise.
-            (WarpModel::Affine, Freedom::Shift) if moved < 0.3 || iteration >= 3 => freedom = Freedom::Affine,
-            (WarpModel::Affine, Freedom::Shift) => {}
+            (WarpModel::Affine, WarpDof::Shift) if moved < 0.3 || iteration >= 3 => dof = WarpDof::Affine,
+            (WarpModel::Affine, WarpDof::Shift) => {}
             _ if moved < NEARLY_AT_REST && !is_bent => {
                 is_bent = true;
                 match bent(&warp) {
                     Some(bend) => warp.bend = bend,
-                    None if moved < AT_REST => return Ok((warp, freedom)),
+                    None if moved < AT_REST => return Ok((warp, dof)),
                     None => {}
                 }
             }
-            _ if moved < AT_REST => return Ok((warp, freedom)),
+            _ if moved < AT_REST => return Ok((warp, dof)),
             _ => {}
         }
     }

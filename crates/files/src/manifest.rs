@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_manifest_that_leads_elsewhere_or_is_none_is_not_believed() {
+    fn a_manifest_that_leads_elsewhere_or_is_none_is_rejected() {
         let folder = folder();
         let path = folder.path().join(MANIFEST);
         let text = std::fs::read_to_string(&path).unwrap();

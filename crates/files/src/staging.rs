@@ -59,11 +59,11 @@ pub(crate) fn remove_made(folders: &[PathBuf]) {
 }
 
 /// Gives up everything that this process has under construction: for a program that is about to end. A publication that
-/// has begun is waited for; both within `patience`. Nothing can be staged or published afterwards.
+/// has begun is waited for; both within `timeout`. Nothing can be staged or published afterwards.
 ///
 /// Whether everything is gone; what is not is removed by the next command.
-pub fn abandon_everything(patience: Duration) -> bool {
-    let deadline = Instant::now() + patience;
+pub fn abandon_everything(timeout: Duration) -> bool {
+    let deadline = Instant::now() + timeout;
     let guard = loop {
         match PUBLISHING.try_lock() {
             Ok(guard) => break Some(guard),

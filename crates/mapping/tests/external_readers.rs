@@ -253,7 +253,8 @@ fn the_point_cloud_library_reads_clouds_and_meshes() {
     write_ply(&Model::Mesh(mesh), scratch.file("mesh.ply")).unwrap();
     let run = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).current_dir(&scratch.0).output().unwrap();
-        let output_text = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        let output_text =
+            String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{program} {arguments:?}: {output_text}");
         output_text
     };

@@ -182,7 +182,7 @@ fn another_arm(rows: &[Row], rigs: &[Option<Rig>], at: usize) -> Option<String> 
     rows.iter().filter(|row| matches!(row.name.parse(), Ok(Parameter::Chain(_)))).find_map(|row| {
         let limit = SAME_ARM.iter().find(|(unit, _)| *unit == row.unit)?.1;
         let apart = (row.cells[at].as_ref()?.value - row.cells[0].as_ref()?.value).abs();
-        // A whole turn is none.
+        // 360 deg are no difference.
         let apart = if row.unit == "deg" { (apart + 180.0).rem_euclid(360.0) - 180.0 } else { apart }.abs();
         (apart > limit)
             .then(|| format!("{} differs by {} {}", row.name, number(apart, Digits::Significant(3)), row.unit))

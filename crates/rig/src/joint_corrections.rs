@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn encoders_say_what_puts_the_joints_where_they_stand() {
+    fn encoders_say_what_puts_the_joints_where_they_are() {
         let rig = builtin_rig("hp3j").unwrap().unwrap();
         let arm = rig.robot.as_ref().unwrap();
         let values = [0.3, -0.4, 0.5, 1.1, -0.7, 2.0];
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lever_of_an_upright_axis_is_zero_and_of_a_level_one_the_reach() {
+    fn the_gravity_torque_arm_of_an_upright_axis_is_zero_and_of_a_level_one_the_reach() {
         let rig = builtin_rig("hp3j").unwrap().unwrap();
         let arm = rig.robot.as_ref().unwrap();
         let values = [0.0, 0.3, 0.2, 0.0, 0.1, 0.0];
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_come_from_the_neighbours_where_these_tell_them() {
+    fn rates_come_from_the_neighbours_where_these_give_them() {
         let posture = |at: u64, timestamp_s, value: f64| Posture {
             index: at,
             timestamp_s,

@@ -36,7 +36,7 @@ pub enum RobotRecordingError {
 /// Seconds between two joint states.
 const JOINT_PERIOD_S: f64 = 0.02;
 /// Seconds at rest, and of the drive to the next.
-const STAND_S: f64 = 2.0;
+const REST_S: f64 = 2.0;
 const DRIVE_S: f64 = 1.0;
 /// When the images are taken, after the rest began.
 const IMAGE_AFTER_S: f64 = 1.2;
@@ -71,9 +71,9 @@ pub fn write_robot_recording(
         if progress.stop_requested() {
             return Err(RobotRecordingError::Interrupted);
         }
-        let begin = START_S + at as f64 * (STAND_S + DRIVE_S);
+        let begin = START_S + at as f64 * (REST_S + DRIVE_S);
         let next = joints.get(at + 1);
-        let until = STAND_S + if next.is_some() { DRIVE_S } else { 0.0 };
+        let until = REST_S + if next.is_some() { DRIVE_S } else { 0.0 };
         let mut images_taken = false;
         for step in 0..(until / JOINT_PERIOD_S).round() as usize {
             let after = step as f64 * JOINT_PERIOD_S;
@@ -81,7 +81,7 @@ pub fn write_robot_recording(
                 images(&mut file, dataset, at, begin + IMAGE_AFTER_S)?;
                 images_taken = true;
             }
-            let fraction = ((after - STAND_S) / DRIVE_S).max(0.0);
+            let fraction = ((after - REST_S) / DRIVE_S).max(0.0);
             let values: Vec<f64> = match next {
                 Some(next) if fraction > 0.0 => here.iter().zip(*next).map(|(a, b)| a + fraction * (b - a)).collect(),
                 _ => here.to_vec(),

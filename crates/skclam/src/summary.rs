@@ -1,8 +1,8 @@
 //! `summary.json`: every metric of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    BoardSummary, Cause, CheckResult, Config, EgoMaskSummary, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
-    PoseSigmaSummary, Scale, Status, DepthConsistencySummary, TrackSummary, VerdictCase,
+    BoardSummary, Cause, CheckResult, Config, DepthConsistencySummary, EgoMaskSummary, Evidence, HeldOutSummary,
+    MapCoverage, MatchedPair, PoseSigmaSummary, Scale, Status, TrackSummary, VerdictCase,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{

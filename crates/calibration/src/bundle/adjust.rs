@@ -10,7 +10,7 @@ use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
 use crate::camera_kinematics::CameraKinematics;
 use crate::levenberg_marquardt::{
-    MinimizationLimits, Minimization, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
+    Minimization, MinimizationLimits, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::prior::Priors;
 use crate::{CalibrationError, Loss, Model, Parameter};
@@ -85,7 +85,11 @@ impl Adjustment<'_> {
     }
 
     /// Minimises until a step gains nothing that means anything.
-    pub(crate) fn minimize(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
+    pub(crate) fn minimize(
+        &self,
+        state: State,
+        max_iterations: usize,
+    ) -> Result<Minimization<State>, CalibrationError> {
         let chunks = self.chunks();
         let cost = self.cost(&state, &chunks);
         let unknowns = self.unknowns(&state);

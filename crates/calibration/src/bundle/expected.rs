@@ -86,7 +86,7 @@ pub fn expected_calibration(
     if parameters.is_empty() {
         return Err(CalibrationError::NothingFree);
     }
-    let deg = nominal.prior.joint_deviation_deg.unwrap_or(options.joint_error_deg);
+    let deg = nominal.prior.joint_error_deg.unwrap_or(options.joint_error_deg);
     let posture_errors = if deg > 0.0 { PostureErrorPolicy::SigmaDeg(deg) } else { PostureErrorPolicy::Off };
     let limits = BundleOptions { posture_errors, max_posture_errors: options.max_posture_errors, ..Default::default() };
     let errors = PostureErrorModel::new(nominal, &motion, &limits, &mut Vec::new());
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_stands_still_is_named() {
+    fn a_joint_that_does_not_move_is_named() {
         let mut postures = diverse_postures(&hp3j(), 24, &mut seeded(5));
         for posture in &mut postures {
             if let PostureState::Joints(values) = &mut posture.state {

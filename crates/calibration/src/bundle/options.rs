@@ -11,7 +11,7 @@ pub enum PostureErrorPolicy {
     Off,
     /// They are off with this sigma, degrees.
     SigmaDeg(f64),
-    /// They are off; the rig's `joint_deviation_deg` is their sigma, or it is estimated.
+    /// They are off; the rig's `joint_error_deg` is their sigma, or it is estimated.
     #[default]
     Estimated,
 }

@@ -14,7 +14,7 @@ const OUTLIER_POSTURE_EXCESS: f64 = 0.25;
 /// Or when its median residual is so many times that of the median posture.
 const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
 /// Observations that a judgement takes.
-const ENOUGH_SIGHTS: usize = 8;
+const MIN_OBSERVATIONS: usize = 8;
 
 /// How well each posture fits where it can be judged: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
 /// judged by all.
@@ -29,14 +29,14 @@ pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec
     judged.extend_from_slice(&sizes[observations.observations.len()..]);
     let mut fits = posture_fits(&judged, observations.postures);
     let all = posture_fits(sizes, observations.postures);
-    fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < ENOUGH_SIGHTS).for_each(|(fit, all)| *fit = all);
+    fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < MIN_OBSERVATIONS).for_each(|(fit, all)| *fit = all);
     fits
 }
 
 /// Postures that fit far worse than the others; never more than a fifth of them.
 pub(crate) fn outlier_postures(fits: &[PostureFit]) -> Vec<usize> {
     let seen: Vec<(usize, &PostureFit)> =
-        fits.iter().enumerate().filter(|(_, fit)| fit.observations >= ENOUGH_SIGHTS).collect();
+        fits.iter().enumerate().filter(|(_, fit)| fit.observations >= MIN_OBSERVATIONS).collect();
     let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
     let usual_fraction = median(&mut seen.iter().map(|(_, fit)| fraction(fit)).collect::<Vec<_>>());
     let usual_median = median(&mut seen.iter().map(|(_, fit)| fit.median_sigmas).collect::<Vec<_>>());

@@ -72,7 +72,7 @@ impl PostureErrorModel {
         warnings: &mut Vec<Warning>,
     ) -> Self {
         let kinds = error_kinds(nominal, motion);
-        let stated = nominal.prior.joint_deviation_deg.filter(|_| motion.has_joints()).map(f64::to_radians);
+        let stated = nominal.prior.joint_error_deg.filter(|_| motion.has_joints()).map(f64::to_radians);
         let joints = PostureErrorSigmas { angular: FIRST_JOINT, linear: FIRST_SLIDE };
         let first = if motion.has_joints() { joints } else { FIRST_POSE };
         let fixed = match options.posture_errors {

@@ -444,7 +444,7 @@ fn a_board_alone_gives_the_arm_its_scale() {
 }
 
 #[test]
-fn corners_and_tracks_tell_their_own_noise() {
+fn corners_and_tracks_have_their_own_noise() {
     let mut rng = seeded(13);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let base_from_board = Isometry3::new(Vector3::new(0.6, -0.08, 0.0), Vector3::new(0.0, 0.0, 0.3));

@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn types_stand_beside_what_is_known_of_a_topic() {
+    fn types_are_listed_beside_what_is_known_of_a_topic() {
         let described = described(&topic("/camera/color/image_raw/compressed", 1, 0.0));
         assert_eq!(
             described,

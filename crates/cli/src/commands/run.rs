@@ -175,7 +175,8 @@ pub fn show(summary: &Summary) {
             table.add_row(["  the same with the mount alone".to_owned(), String::new(), format!("{mount_only:.3}")]);
         }
     }
-    if let Some((before, after)) = summary.map.and_then(|map| Some((map.depth_consistency_nominal?, map.depth_consistency_calibrated?)))
+    if let Some((before, after)) =
+        summary.map.and_then(|map| Some((map.depth_consistency_nominal?, map.depth_consistency_calibrated?)))
     {
         let mm = |value: f64| format!("{value:.2} mm");
         table.add_row(["depth consistency, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);

@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_names_are_told_with_the_known_ones() {
+    fn unknown_names_are_reported_with_the_known_ones() {
         let message = Dictionary::named("DICT_3X3_9").unwrap_err().to_string();
         assert!(message.contains("DICT_3X3_9") && message.contains("DICT_4X4_50"), "{message}");
     }

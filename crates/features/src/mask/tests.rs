@@ -68,7 +68,7 @@ const MOTIONS: [(f64, f64, f64); 6] = [
 ];
 
 #[test]
-fn what_stands_still_is_masked_and_the_scene_is_not() {
+fn what_is_static_is_masked_and_the_scene_is_not() {
     let found = sequence(&MOTIONS, true).search();
     assert_eq!((found.outcome, found.moving_pairs), (MaskOutcome::Found, 6));
     assert!(covered(&found.mask, 0..130, 350..480) > 0.97, "{}", covered(&found.mask, 0..130, 350..480));

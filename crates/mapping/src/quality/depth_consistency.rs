@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn without_overlap_there_is_no_figure_and_bad_options_are_errors() {
+    fn without_overlap_there_is_no_distance_and_bad_options_are_errors() {
         let camera = plain_camera(24, 18);
         let holes = wall(24, 18, 0.0);
         let views = [view(&holes, &camera); 2];

@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn two_images_stand_beside_each_other() {
+    fn two_images_are_drawn_side_by_side() {
         let both = side_by_side(&RgbImage::new(4, 2), &RgbImage::new(3, 5), 2, [9, 9, 9]);
         assert_eq!(both.dimensions(), (9, 5));
         assert_eq!(both.get_pixel(4, 0).0, [9; 3]);

@@ -169,8 +169,8 @@ fn update_row(update: &Update<'_>, pixels: &Row<&Pixel>, depth: &Row, [px, py, p
         let free = (to_plane > truncation) | (along_axis > DEEPEST * truncation);
         distance[x] = if free { update.truncation_m } else { to_plane };
         let falling = (to_plane + truncation) / (truncation - update.falloff_m);
-        let share_of_weight = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
-        weight[x] = if known { pixel_weight[x] * share_of_weight } else { 0.0 };
+        let weight_fraction = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
+        weight[x] = if known { pixel_weight[x] * weight_fraction } else { 0.0 };
         near[x] = -i32::from(known & (to_plane.abs() < update.color_reach_m));
         any_weight |= weight[x].to_bits();
         any_near |= near[x];

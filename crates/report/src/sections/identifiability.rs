@@ -76,7 +76,8 @@ mod tests {
         // The sentences of skclam-calibration's identifiability.
         let of = |text: &str| advice(text);
         assert!(
-            of("theta_offset_1 moves the base and the whole world with it: not identifiable from images").contains("other means")
+            of("theta_offset_1 moves the base and the whole world with it: not identifiable from images")
+                .contains("other means")
         );
         assert!(of("d_6 and the mount (mount_z) are one length").contains("the sum"));
         assert!(of("the scale is not observable: no depth, no board, no fixed length; ...").contains("known length"));

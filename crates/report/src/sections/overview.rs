@@ -85,7 +85,11 @@ fn tiles(run: &RunResult) -> String {
     out += &tile(
         "Depth consistency",
         match run.number("/map/depth_consistency_calibrated/median_mm") {
-            Some(_) => numbers.change("/map/depth_consistency_nominal/median_mm", "/map/depth_consistency_calibrated/median_mm", "mm"),
+            Some(_) => numbers.change(
+                "/map/depth_consistency_nominal/median_mm",
+                "/map/depth_consistency_calibrated/median_mm",
+                "mm",
+            ),
             None => numbers.show("/map/depth_consistency_calibrated/median_mm", Digits::Whole),
         },
         "median distance, nominal to calibrated",

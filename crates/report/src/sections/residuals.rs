@@ -72,7 +72,10 @@ fn metrics(run: &RunResult) -> String {
     }
     let held_out = format!("Held out: {}", escaped(run.text("/held_out/metric")));
     row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
-    for (name, field) in [("Depth consistency, point to plane, median", "median_mm"), ("Depth consistency, point to plane, 90 %", "p90_mm")] {
+    for (name, field) in [
+        ("Depth consistency, point to plane, median", "median_mm"),
+        ("Depth consistency, point to plane, 90 %", "p90_mm"),
+    ] {
         let pointer = |which: &str| format!("/map/depth_consistency_{which}/{field}");
         row(name, "mm", &pointer("nominal"), &pointer("calibrated"));
     }

@@ -8,7 +8,7 @@ use image::{DynamicImage, GenericImageView};
 use std::io::{self, BufRead};
 
 /// Marker codes without a length: TEM and the restart markers.
-fn stands_alone(code: u8) -> bool {
+fn has_no_length(code: u8) -> bool {
     matches!(code, 0x01 | 0xD0..=0xD7)
 }
 
@@ -45,7 +45,7 @@ fn ends(mut stream: impl BufRead) -> io::Result<bool> {
             0xD9 => return Ok(true),
             // Start of image.
             0xD8 => {}
-            code if stands_alone(code) => {}
+            code if has_no_length(code) => {}
             code => {
                 let mut length = [0; 2];
                 if !filled(&mut stream, &mut length)? {
@@ -77,7 +77,7 @@ fn next_marker(stream: &mut impl BufRead, in_scan: bool) -> io::Result<Option<u8
                 break;
             }
         }
-        let data = byte[0] == 0 || (in_scan && stands_alone(byte[0]));
+        let data = byte[0] == 0 || (in_scan && has_no_length(byte[0]));
         if !data {
             return Ok(Some(byte[0]));
         }

@@ -218,7 +218,12 @@ pub(super) fn expected_sigmas(
         rank: expected.identifiability.rank,
         identifiable: identifiable_combinations(rig, &expected),
         condition_number: Some(expected.identifiability.condition_number).filter(|number| number.is_finite()),
-        not_identifiable: expected.identifiability.unobservable.iter().map(|direction| direction.reason.clone()).collect(),
+        not_identifiable: expected
+            .identifiability
+            .unobservable
+            .iter()
+            .map(|direction| direction.reason.clone())
+            .collect(),
         camera_sigma_mm: over(&|pose| 1e3 * position_sigma_m(&pose.camera)),
         camera_sigma_deg: over(&|pose| orientation_sigma_rad(&pose.camera).to_degrees()),
         joints_to_move: joints_to_move(rig, &expected, joints, options),
@@ -322,11 +327,12 @@ fn joints_to_move(
         }
     }
     let blamed_joints = joints.iter().zip(blamed).filter(|(_, parameters)| !parameters.is_empty());
-    blamed_joints.map(|(joint, parameters)| JointToMove {
-        joint: joint.joint.clone(),
-        range: joint.max - joint.min,
-        unit: joint.unit,
-        parameters,
-    })
-    .collect()
+    blamed_joints
+        .map(|(joint, parameters)| JointToMove {
+            joint: joint.joint.clone(),
+            range: joint.max - joint.min,
+            unit: joint.unit,
+            parameters,
+        })
+        .collect()
 }

@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_dataset_has_one_island_and_a_bad_one_is_told_of() {
+    fn a_good_dataset_has_one_island_and_a_bad_one_is_warned_of() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         let options = InspectionOptions::default();
         let good = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_stands_still_is_named_before_any_calibration() {
+    fn a_joint_that_does_not_move_is_named_before_any_calibration() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         for record in &mut dataset.records {
             if let PostureState::Joints(values) = &mut record.posture.state {
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_tells_the_scale_and_leads_where_all_postures_show_it() {
+    fn a_board_gives_the_scale_and_leads_where_all_postures_show_it() {
         let Some(mut dataset) = shared("nachi-mz25") else { return };
         let by_board = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
         let board = by_board.board.as_ref().unwrap();

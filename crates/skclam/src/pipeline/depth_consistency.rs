@@ -83,8 +83,11 @@ pub fn measure_depth_consistency<const N: usize>(
             .collect();
         let found = depth_consistency(&views, &options)?;
         if let (Some(median_m), Some(p90_m)) = (found.median_m, found.p90_m) {
-            answer.surfaces =
-                Some(DepthConsistencySummary { pairs: found.pairs.len(), median_mm: median_m * 1e3, p90_mm: p90_m * 1e3 });
+            answer.surfaces = Some(DepthConsistencySummary {
+                pairs: found.pairs.len(),
+                median_mm: median_m * 1e3,
+                p90_mm: p90_m * 1e3,
+            });
         }
         let samples = found.samples.iter().map(|sample| PointToPlaneSample {
             posture: postures[sample.view],

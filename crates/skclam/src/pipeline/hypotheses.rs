@@ -146,10 +146,10 @@ pub fn find_gross_cause(
     }
     let trial = Trial { pairs: thinned(&pairs), camera };
     let nominal = Candidate::nominal(dataset);
-    let as_it_stands = trial.fit(&nominal)?;
+    let unchanged = trial.fit(&nominal)?;
     let mut finding = GrossFinding {
         cause: GrossCause::OtherArm,
-        before_px: as_it_stands.map(|fit| fit.px),
+        before_px: unchanged.map(|fit| fit.px),
         after_px: None,
         second: None,
         tried: 0,
@@ -181,7 +181,7 @@ pub fn find_gross_cause(
             return Ok(Some(GrossFinding { cause: best.cause, ..finding }));
         }
     }
-    if let Some(fit) = as_it_stands
+    if let Some(fit) = unchanged
         && trial.explained(&nominal, &fit)?
     {
         finding.second = tried.first().map(|best| (best.cause, best.fit.px));

@@ -2,7 +2,7 @@
 
 use super::front_end::{FrontEnd, front_end};
 use super::verdict::UNEXPLAINED_PX;
-use super::{Config, RunError, Status, DepthConsistencySummary, localize, measure_depth_consistency};
+use super::{Config, DepthConsistencySummary, RunError, Status, localize, measure_depth_consistency};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
@@ -171,7 +171,7 @@ fn label(free: &Free) -> String {
 }
 
 /// A rig under which the depth images lie farther apart than this times the other's does not hold.
-const WORSE_AGREEMENT: f64 = 1.05;
+const WORSE_CONSISTENCY: f64 = 1.05;
 /// A metric over fewer of the observations says little of the rig.
 const MANY_LEFT_OUT: f64 = 0.2;
 /// Reprojection beyond this is not explained, px: errors of single postures make a pixel or two.
@@ -192,7 +192,7 @@ fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<DepthConsist
         || observations.observations > 0 && (left_out > MANY_LEFT_OUT || observations.rms_px > UNEXPLAINED_RMS_PX)
     {
         ValidationCase::BetterButUnexplained
-    } else if depth.is_some_and(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_AGREEMENT) {
+    } else if depth.is_some_and(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_CONSISTENCY) {
         ValidationCase::DepthInconsistent
     } else {
         ValidationCase::Holds
@@ -226,7 +226,7 @@ fn sentence(
         ValidationCase::DepthInconsistent => {
             let mm = depth.map_or([0.0; 2], |depth| [depth.calibrated.median_mm, depth.nominal.median_mm]);
             format!(
-                "The rig fits the images, but NOT the depth: its depth images lie {:.1} mm apart, those of the data set's own rig {:.1} mm ({metrics}).",
+                "The rig fits the images, but NOT the depth: its depth consistency (point to plane) is {:.1} mm, that of the data set's own rig {:.1} mm ({metrics}).",
                 mm[0], mm[1]
             )
         }
@@ -242,13 +242,13 @@ mod tests {
         fn rigs<T>(nominal: T, calibrated: T) -> Rigs<T> {
             Rigs { nominal, mount_only: None, calibrated }
         }
-        let found = |px: [f64; 2], median_px: f64, inliers: usize, rms_px: f64, apart: f64| {
+        let found = |px: [f64; 2], median_px: f64, inliers: usize, rms_px: f64, distance_mm: f64| {
             let lines = EpipolarStatistics { matches: 100, median_px, ..Default::default() };
             let observations = ReprojectionStatistics { observations: 100, inliers, rms_px, ..Default::default() };
             let comparison =
                 Comparison { reprojection: rigs(observations, observations), epipolar: rigs(lines, lines) };
             let surfaces = |median_mm| DepthConsistencySummary { median_mm, ..Default::default() };
-            let depth = rigs(surfaces(5.0), surfaces(apart));
+            let depth = rigs(surfaces(5.0), surfaces(distance_mm));
             let px = rigs(px[0], px[1]);
             let case = case(px, &comparison, Some(&depth));
             (case, sentence(case, "reprojection, RMS", px, "", &comparison, Some(&depth)))

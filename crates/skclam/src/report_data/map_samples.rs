@@ -78,7 +78,8 @@ pub fn sample_map(
         .collect::<Result<_, RunError>>()?;
     let colors: Vec<Option<[u8; 3]>> = colors.into_iter().flatten().collect();
     let kept: Vec<usize> = (0..colors.len()).filter(|&k| colors[k].is_some()).collect();
-    let positions = |samples: &[PointToPlaneSample]| Packed::of_f32(kept.iter().flat_map(|&k| samples[k].point_in_base));
+    let positions =
+        |samples: &[PointToPlaneSample]| Packed::of_f32(kept.iter().flat_map(|&k| samples[k].point_in_base));
     let millimetres = |samples: &[PointToPlaneSample]| {
         let mm = |distance_m: f32| (distance_m * 1e5).round() / 1e2;
         Packed::of_f32(kept.iter().map(|&k| samples[k].median_m.map_or(f32::NAN, mm)))

@@ -14,7 +14,7 @@ pub use map_samples::{MapSamples, sample_map};
 pub use packed::{EmbeddedImage, Packed};
 pub use pair_images::{DrawnMatch, PairImages, pair_images};
 pub use residuals::{
-    ResidualQuantiles, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, residual_data,
+    Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, ResidualQuantiles, residual_data,
 };
 
 use crate::dataset::Dataset;

@@ -11,7 +11,7 @@ use skclam_calibration::{Correspondences, Model, PairMatch, camera_poses};
 use skclam_geometry::{EpipolarLine, FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
 
 /// Longer edge of an image, px.
-const PICTURE_PX: u32 = 640;
+const IMAGE_PX: u32 = 640;
 /// JPEG quality.
 const QUALITY: u8 = 78;
 /// Matches that are drawn on a pair.
@@ -111,7 +111,7 @@ fn ranked(pairs: &[PairResiduals]) -> Vec<(&'static str, PairResiduals)> {
 fn small(dataset: &Dataset, posture: usize) -> Result<EmbeddedImage, RunError> {
     let image = dataset.color(posture)?;
     let (width, height) = image.dimensions();
-    let factor = (f64::from(PICTURE_PX) / f64::from(width.max(height))).min(1.0);
+    let factor = (f64::from(IMAGE_PX) / f64::from(width.max(height))).min(1.0);
     let along = |pixels: u32| ((f64::from(pixels) * factor).round() as u32).max(1);
     let image = resize(&image, along(width), along(height), FilterType::Triangle);
     let mut jpeg = Vec::new();

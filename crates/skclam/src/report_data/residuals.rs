@@ -160,7 +160,13 @@ pub fn residual_data(
         reprojection_residuals(&Model::new(dataset.rig.clone()), &calibration.model, data, calibration.noise.pixel)?;
     let (arrows, places): (_, Vec<Place>) = if reprojection.is_empty() {
         // A residual is what was seen less what should be: opposite to the vector to the line.
-        (ResidualKind::Epipolar, endpoints.iter().map(|endpoint| (endpoint.pixel, endpoint.residuals_px.map(|residual| -residual))).collect())
+        (
+            ResidualKind::Epipolar,
+            endpoints
+                .iter()
+                .map(|endpoint| (endpoint.pixel, endpoint.residuals_px.map(|residual| -residual)))
+                .collect(),
+        )
     } else {
         (
             ResidualKind::Reprojection,
@@ -213,7 +219,11 @@ fn postures(endpoints: &[Endpoint], count: usize) -> Vec<PostureResiduals> {
     };
     distances
         .iter_mut()
-        .map(|[before, after]| PostureResiduals { endpoints: before.len(), before: summed(before), after: summed(after) })
+        .map(|[before, after]| PostureResiduals {
+            endpoints: before.len(),
+            before: summed(before),
+            after: summed(after),
+        })
         .collect()
 }
 

@@ -76,12 +76,12 @@ pub fn find_depth_shift(
         let Some(middle) = sorted.get(sorted.len() / 2) else { return f64::INFINITY };
         1e2 * median(sorted.iter().map(|ratio| ratio - middle).collect())
     };
-    let as_it_stands = &ratios[most as usize];
-    let before_percent = scatter(as_it_stands);
+    let unchanged = &ratios[most as usize];
+    let before_percent = scatter(unchanged);
     let shifted = shifts
         .iter()
         .zip(&ratios)
-        .filter(|(by, ratios)| **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= as_it_stands.len());
+        .filter(|(by, ratios)| **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= unchanged.len());
     let best = shifted
         .map(|(&by, ratios)| DepthShift { by, before_percent, after_percent: scatter(ratios), points: ratios.len() })
         .min_by(|x, y| x.after_percent.total_cmp(&y.after_percent));

@@ -152,7 +152,7 @@ fn mistakes_in_flange_poses_are_named() {
 }
 
 #[test]
-fn another_arm_and_another_camera_are_told_apart() {
+fn another_arm_and_another_camera_are_distinguished() {
     let other_arm = named(|dataset| {
         dataset.rig.robot = builtin_rig("abb-irb120").expect("a built-in rig").expect("a good rig").robot;
         joints(dataset, |q| q.iter_mut().for_each(|q| *q = (7.0 * *q).sin()));
