@@ -1,7 +1,8 @@
 //! From how far off do the estimators find the right minimum?
 //!
-//! Random true arms, each wrong by 3 deg in every angle, 10 mm in every length, 15 deg and 50 mm in the mount; image-free recordings of 40 diverse postures
-//! with depth, half a pixel of noise and one pair match in five wrong. Then mounts of which nothing is known at all.
+//! Random true arms, each wrong by 3 deg in every angle, 10 mm in every length, 15 deg and 50 mm in the mount;
+//! image-free recordings of 40 diverse postures with depth, half a pixel of noise and one pair match in five wrong.
+//! Then mounts of which nothing is known at all.
 //!
 //! `cargo run --release -p skclam-calibration --example convergence [STARTS [far|mount]]` (100 by default, and both)
 

@@ -1,10 +1,12 @@
 //! Is the estimator as good as it can be, and does it know how good it is?
 //!
-//! RMSE of every parameter over many noisy recordings against the Cramer-Rao bound (at most 1.2 times), and the mean normalised estimation error squared
-//! (NEES) against its 95 % band. The bound is computed here by differences, apart from the library's own Jacobians.
+//! RMSE of every parameter over many noisy recordings against the Cramer-Rao bound (at most 1.2 times), and the mean
+//! normalised estimation error squared (NEES) against its 95 % band. The bound is computed here by differences, apart
+//! from the library's own Jacobians.
 //!
-//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS [PART...]]`: 200 runs by default, and of the parts `pairwise`, `tracks`, `full`,
-//! `encoder`, `known` all but the last. Runs are spread over the cores; each has a seed of its own, so that the tables do not depend on their number.
+//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS [PART...]]`: 200 runs by default, and of the
+//! parts `pairwise`, `tracks`, `full`, `encoder`, `known` all but the last. Runs are spread over the cores; each has a
+//! seed of its own, so that the tables do not depend on their number.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;

@@ -34,7 +34,8 @@ fn cpu_seconds() -> f64 {
     fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// 1e5 Sampson residuals, the paper's ten angles. The same problem is written for the comparison with SciPy and Ceres when `SKCLAM_DUMP` names a file.
+/// 1e5 Sampson residuals, the paper's ten angles. The same problem is written for the comparison with SciPy and Ceres
+/// when `SKCLAM_DUMP` names a file.
 fn pairwise() {
     let mut rng = seeded(1);
     let errors =

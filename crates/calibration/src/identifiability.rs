@@ -1,11 +1,12 @@
 //! Which parameters the data determine and which they do not, in numbers and in words.
 //!
-//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint errors eliminated)
-//! with each parameter scaled by [`Parameter::scale`]: equal weight for 0.01 rad and 1 cm. They are computed as roots of the eigenvalues of its
-//! normal matrix, so that ratios below about 1e-7 are rounding; below [`RANK_THRESHOLD`] a direction counts as unobservable.
+//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint
+//! errors eliminated) with each parameter scaled by [`Parameter::scale`]: equal weight for 0.01 rad and 1 cm. They are
+//! computed as roots of the eigenvalues of its normal matrix, so that ratios below about 1e-7 are rounding; below
+//! [`RANK_THRESHOLD`] a direction counts as unobservable.
 //!
-//! Observability indices over the directions that are seen: O1 Borm and Menq 1991; O2 Driels and Pathre 1990; O3 Nahvi, Hollerbach and
-//! Hayward 1994; O4 (noise amplification) Nahvi and Hollerbach 1996; O5 Sun and Hollerbach 2008.
+//! Observability indices over the directions that are seen: O1 Borm and Menq 1991; O2 Driels and Pathre 1990; O3 Nahvi,
+//! Hollerbach and Hayward 1994; O4 (noise amplification) Nahvi and Hollerbach 1996; O5 Sun and Hollerbach 2008.
 
 use crate::{Model, Parameter, Unit, free};
 use nalgebra::{DMatrix, DVector};
@@ -38,7 +39,8 @@ pub struct Identifiability {
 /// A combination of parameters that is not identifiable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnobservableDirection {
-    /// Parameters and how far each moves (scaled by [`Parameter::scale`], the greatest 1): such a change alters no residual.
+    /// Parameters and how far each moves (scaled by [`Parameter::scale`], the greatest 1): such a change alters no
+    /// residual.
     pub combination: Vec<(Parameter, f64)>,
     /// Which kind.
     pub cause: UnobservableCause,
@@ -116,8 +118,8 @@ pub(crate) fn identify(
     }
 }
 
-/// Turns any basis of the unobservable space into one with few components a direction: Gauss-Jordan elimination whose pivots are the parameters of
-/// the known gauge first, then the greatest components.
+/// Turns any basis of the unobservable space into one with few components a direction: Gauss-Jordan elimination whose
+/// pivots are the parameters of the known gauge first, then the greatest components.
 fn sparse_basis(mut rows: Vec<DVector<f64>>, rig: &Rig, parameters: &[Parameter]) -> Vec<DVector<f64>> {
     let gauge = free::gauge(rig);
     let mut columns: Vec<usize> = (0..parameters.len()).filter(|&k| gauge.contains(&parameters[k])).collect();

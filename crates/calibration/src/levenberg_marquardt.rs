@@ -1,7 +1,8 @@
 //! The damped minimisation that both least-squares estimators use.
 //!
-//! Marquardt's damping by the diagonal of the normal matrix, driven by the ratio of gained to predicted cost (Madsen, Nielsen and Tingleff, "Methods for
-//! non-linear least squares problems", 2004, section 3.2). What a step is, and what it costs, is the caller's.
+//! Marquardt's damping by the diagonal of the normal matrix, driven by the ratio of gained to predicted cost (Madsen,
+//! Nielsen and Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2). What a step is, and what
+//! it costs, is the caller's.
 
 use crate::{CalibrationError, Parameter, StopReason};
 use nalgebra::{DMatrix, DVector};

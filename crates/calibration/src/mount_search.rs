@@ -1,9 +1,10 @@
 //! The mount when nothing is known of it: a global start.
 //!
-//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined by a few steps on a small sample of the pair matches,
-//! with the camera at the flange's origin at first; the better ones go on on a larger sample, and the best of those on all: the one whose epipolar distances are
-//! smallest wins. Every relative motion with a
-//! baseline constrains the mount through the matches themselves, so that no camera motion has to be decomposed first.
+//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined by a few
+//! steps on a small sample of the pair matches, with the camera at the flange's origin at first; the better ones go on
+//! on a larger sample, and the best of those on all: the one whose epipolar distances are smallest wins. Every relative
+//! motion with a baseline constrains the mount through the matches themselves, so that no camera motion has to be
+//! decomposed first.
 
 use crate::pairwise::{Search, calibrate_pairwise_from};
 use crate::{

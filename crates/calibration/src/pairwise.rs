@@ -1,9 +1,11 @@
-//! Robust least squares on signed Sampson distances over all matches: the paper's pairs, at first-order maximum likelihood.
+//! Robust least squares on signed Sampson distances over all matches: the paper's pairs, at first-order maximum
+//! likelihood.
 //!
-//! The chain rule works at the level of the pair: every match adds to the 6 x 6 normal matrix of its pair's relative twist (15 x 15 with free
-//! intrinsics), and one product a pair takes that to the parameters, so that the cost a match does not depend on how many are free.
-//! A search on a sample of the matches finds the basin (Tukey's biweight, narrowing with the smallest third of the residuals, from several widths); then all matches are
-//! fitted, and the scale of the loss is that of the residuals that fit, round by round until it settles.
+//! The chain rule works at the level of the pair: every match adds to the 6 x 6 normal matrix of its pair's relative
+//! twist (15 x 15 with free intrinsics), and one product a pair takes that to the parameters, so that the cost a match
+//! does not depend on how many are free. A search on a sample of the matches finds the basin (Tukey's biweight,
+//! narrowing with the smallest third of the residuals, from several widths); then all matches are fitted, and the scale
+//! of the loss is that of the residuals that fit, round by round until it settles.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
@@ -80,8 +82,8 @@ const SEARCH_ROUNDS: usize = 10;
 const SEARCH_ITERATIONS: usize = 12;
 /// Matches that the search looks at.
 const SEARCH_MATCHES: usize = 6000;
-/// Constants of Tukey's loss with which the search starts, in units of the residuals' scale at the start. Wide ones come far when most matches are right,
-/// narrow ones when many are wrong.
+/// Constants of Tukey's loss with which the search starts, in units of the residuals' scale at the start. Wide ones
+/// come far when most matches are right, narrow ones when many are wrong.
 const SEARCH_WIDTHS: [f64; 4] = [4.0, 2.0, 1.0, 0.5];
 
 #[derive(Debug, Clone, Copy)]
@@ -131,8 +133,8 @@ impl Problem<'_> {
             step_tolerance: 1e-10,
             sigma_tolerance: 0.0,
         };
-        // One pass over the matches gives a state's cost and its normal equations: those of the state that was left, for another damping, and those of the
-        // state that was tried.
+        // One pass over the matches gives a state's cost and its normal equations: those of the state that was left,
+        // for another damping, and those of the state that was tried.
         let prepare = |state: &Model| -> Result<Prepared, CalibrationError> {
             let Linearized { mut normal, mut rhs, cost } = system.linearize(state, round.loss, round.sigma)?;
             self.priors.add_to(self.nominal, state, self.parameters, &mut normal, &mut rhs);
@@ -183,8 +185,8 @@ impl Problem<'_> {
         Ok(minimization.state)
     }
 
-    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model whose smallest third of
-    /// residuals is smallest wins. Returns it with the scale of its noise.
+    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model
+    /// whose smallest third of residuals is smallest wins. Returns it with the scale of its noise.
     fn search(
         &self,
         start: &Model,
@@ -235,7 +237,7 @@ pub fn calibrate_pairwise(
     calibrate_pairwise_from(&Model::new(nominal.clone()), nominal, data, options)
 }
 
-/// As [`calibrate_pairwise`], starting elsewhere than at the nominal rig (priors still speak of that).
+/// As [`calibrate_pairwise`], starting elsewhere than at the nominal rig (priors still refer to that).
 pub fn calibrate_pairwise_from(
     start: &Model,
     nominal: &Rig,

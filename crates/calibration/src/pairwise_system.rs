@@ -56,7 +56,8 @@ impl<'a> PairwiseSystem<'a> {
             self.pairs[pair].matches[from..to]
                 .iter()
                 .map(|m| {
-                    // A pixel that no direction reaches (beyond the fold of the distortion) has no gradient: distance 0.
+                    // A pixel that no direction reaches (beyond the fold of the distortion) has no gradient: distance
+                    // 0.
                     let blind = Bearing::blind();
                     let bearing = |pixel| Bearing::new(camera, pixel, m.sigma_px).unwrap_or(blind);
                     (bearing(&m.in_a), bearing(&m.in_b))

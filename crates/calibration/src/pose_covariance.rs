@@ -1,7 +1,8 @@
 //! What the covariance of the parameters says of the flange's and the camera's pose: `J C J^T`, posture by posture.
 //!
-//! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a pose in the base
-//! frame that the calibrated arm defines. What a joint is off its encoder is not in them: it differs from posture to posture.
+//! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a
+//! pose in the base frame that the calibrated arm defines. What a joint is off its encoder is not in them: it differs
+//! from posture to posture.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::{Calibration, CalibrationError, Model, Parameter};
@@ -9,8 +10,8 @@ use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3, Vector6};
 use skclam_geometry::Isometry3;
 use skclam_rig::{Posture, Rig};
 
-/// Covariances of two poses at one posture. Order: translation of the frame's origin (m), then rotation (rad), both along the axes of
-/// the moving frame itself.
+/// Covariances of two poses at one posture. Order: translation of the frame's origin (m), then rotation (rad), both
+/// along the axes of the moving frame itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseCovariance {
     /// Of `base_from_flange`.
@@ -31,8 +32,8 @@ pub fn orientation_sigma_rad(covariance: &Matrix6<f64>) -> f64 {
     block.trace().max(0.0).sqrt()
 }
 
-/// Covariances of flange and camera at postures, those of the recording or any others. `None` where the estimator gives no covariance
-/// (Nelder-Mead). Fails where a posture does not belong to the rig.
+/// Covariances of flange and camera at postures, those of the recording or any others. `None` where the estimator gives
+/// no covariance (Nelder-Mead). Fails where a posture does not belong to the rig.
 pub fn pose_covariances(
     nominal: &Rig,
     calibration: &Calibration,
@@ -75,8 +76,9 @@ pub(crate) fn propagate_to_poses(
         .collect()
 }
 
-/// Camera positions over some postures, once the base frame has been fitted to them (where there are joints): a rigid motion of the whole arm is not noticed by whoever registers its base with the
-/// arm itself, and is taken out as standards of absolute accuracy do (ISO 9283). To first order.
+/// Camera positions over some postures, once the base frame has been fitted to them (where there are joints): a rigid
+/// motion of the whole arm is not noticed by whoever registers its base with the arm itself, and is taken out as
+/// standards of absolute accuracy do (ISO 9283). To first order.
 struct AlignedCameras {
     /// Of the stacked positions by the parameters, base frame, rigid motions taken out.
     jacobian: DMatrix<f64>,
@@ -127,7 +129,8 @@ impl AlignedCameras {
     }
 }
 
-/// The mean variance (m^2) of the camera's position over some postures under covariances of the parameters, the base frame fitted to them.
+/// The mean variance (m^2) of the camera's position over some postures under covariances of the parameters, the base
+/// frame fitted to them.
 pub(crate) struct AlignedVariance {
     cameras: AlignedCameras,
 }
@@ -146,14 +149,16 @@ impl AlignedVariance {
         self.cameras.variance(covariance)
     }
 
-    /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions (Satterthwaite 1946).
+    /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions
+    /// (Satterthwaite 1946).
     pub(crate) fn dof(&self, covariance: &DMatrix<f64>) -> f64 {
         let product = self.cameras.jacobian.tr_mul(&self.cameras.jacobian) * covariance;
         product.trace().powi(2) / (&product * &product).trace().max(f64::MIN_POSITIVE)
     }
 }
 
-/// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame fitted to them.
+/// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame
+/// fitted to them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlignedPositions {
     /// Root of the mean square of how far the calibration moves the camera, m.

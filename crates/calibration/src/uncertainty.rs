@@ -11,8 +11,8 @@ const SILENT: f64 = 0.9;
 /// A parameter whose fraction in an unobservable direction is above this gets no sigma.
 const TIED: f64 = 0.02;
 
-/// Inverse of an normal matrix in the units of its parameters. Directions without information are left out (zero variance): their
-/// parameters get no sigma.
+/// Inverse of an normal matrix in the units of its parameters. Directions without information are left out (zero
+/// variance): their parameters get no sigma.
 pub(crate) fn covariance(normal_matrix: &DMatrix<f64>, parameters: &[Parameter]) -> DMatrix<f64> {
     let count = parameters.len();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
@@ -74,8 +74,8 @@ pub(crate) fn estimates(
     parameters.iter().enumerate().map(estimate).collect()
 }
 
-/// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the parameters: what is not identifiable, and the parameters with
-/// their sigmas.
+/// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the
+/// parameters: what is not identifiable, and the parameters with their sigmas.
 pub(crate) fn describe(
     nominal: &Rig,
     model: &Model,

@@ -84,7 +84,8 @@ pub enum Warning {
         /// Sigma of that.
         sigma: f64,
     },
-    /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is free to explain them.
+    /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is
+    /// free to explain them.
     LargeResiduals {
         /// Sigma of a coordinate in units of what its observation says of itself (px where that is 1).
         sigma: f64,

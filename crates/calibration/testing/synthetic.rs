@@ -259,7 +259,8 @@ pub fn neighbour_pairs(data: &Correspondences, limit: usize) -> Vec<PairMatches>
         .collect()
 }
 
-/// Matches between `pairs` of postures made afresh (not through tracks), each with its own point in front of both cameras.
+/// Matches between `pairs` of postures made afresh (not through tracks), each with its own point in front of both
+/// cameras.
 pub fn fresh_pairs(
     truth: &Rig,
     postures: &[Posture],
@@ -330,8 +331,8 @@ pub fn record_board(
     (board, observations)
 }
 
-/// Mean distance, metres, between the cameras of two rigs over the postures, after the rigid motion of the base that fits best is
-/// *not* applied: both rigs must share the gauge.
+/// Mean distance, metres, between the cameras of two rigs over the postures, after the rigid motion of the base that
+/// fits best is *not* applied: both rigs must share the gauge.
 pub fn camera_error(truth: &Rig, rig: &Rig, postures: &[Posture]) -> f64 {
     let sum: f64 = postures
         .iter()

@@ -50,7 +50,8 @@ pub enum Command {
     Map(MapArgs),
     /// Compare a rig with a known true one: errors of parameters and poses.
     Evaluate(EvaluateArgs),
-    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a tracker.
+    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a
+    /// tracker.
     #[command(
         after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n  \
                             skclam validate --points tracker.csv --rig result/ --nominal cell/rig.toml\n\n\
@@ -88,7 +89,8 @@ pub enum Command {
                             Joints in the result go to a controller that takes joints, poses to one that takes poses: not both corrections at once."
     )]
     Compensate(CompensateArgs),
-    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON; the result as MCAP.
+    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON; the result
+    /// as MCAP.
     #[command(
         after_help = "Examples:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/\n  skclam export result/ --dataset cell/ --mcap --out export/\n\n\
                             The second writes export/result.mcap for Foxglove and Rerun: images, frames, trajectories, maps and residuals,\n\
@@ -132,23 +134,26 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value = "default")]
     pub preset: PresetArg,
     /// Which parameters are free: auto (what the data can identify), angles (the paper's ten), all, or a list such as
-    /// "angles,mount", "alpha_2,theta_offset_3,fx" or "auto,gears". Groups: arm, lengths, mount, intrinsics, focal, depth, gears, compliance.
+    /// "angles,mount", "alpha_2,theta_offset_3,fx" or "auto,gears". Groups: arm, lengths, mount, intrinsics, focal,
+    /// depth, gears, compliance.
     #[arg(long, value_name = "SET")]
     pub free: Option<String>,
     /// Seed of every random choice.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from priors.
+    /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from
+    /// priors.
     #[arg(long)]
     pub no_depth: bool,
-    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is ignored.
+    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is
+    /// ignored.
     #[arg(long)]
     pub find_mount: bool,
     /// Another nominal rig than the data set's rig.toml.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
     pub rig: Option<PathBuf>,
-    /// Options as a JSON file: the `configuration` of an earlier summary.json, or a part of it. --preset, --free and --seed on the
-    /// command line come first.
+    /// Options as a JSON file: the `configuration` of an earlier summary.json, or a part of it. --preset, --free and
+    /// --seed on the command line come first.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub config: Option<PathBuf>,
     /// The robot's own body.
@@ -159,7 +164,8 @@ pub struct RunArgs {
 /// The robot's own body in the depth images.
 #[derive(Debug, Clone, Args)]
 pub struct SelfFilterArgs {
-    /// The robot's URDF: its collision geometry at each posture (boxes, cylinders, spheres, STL meshes) is kept out of the map.
+    /// The robot's URDF: its collision geometry at each posture (boxes, cylinders, spheres, STL meshes) is kept out of
+    /// the map.
     #[arg(long, value_name = "URDF", value_hint = ValueHint::FilePath)]
     pub self_filter: Option<PathBuf>,
     /// The URDF's link whose frame is the rig's base; by default the URDF's root.
@@ -283,7 +289,8 @@ pub struct SimulateArgs {
     /// Scale of the colour image: 1 is 1920x1080.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub scale: f64,
-    /// Seed of diverse postures, where they shall differ from those of another recording of the same arm; by default --seed.
+    /// Seed of diverse postures, where they shall differ from those of another recording of the same arm; by default
+    /// --seed.
     #[arg(long, value_name = "N")]
     pub posture_seed: Option<u64>,
     /// Also write the data set as a robot would have recorded it (MCAP, ROS 2 messages), to practise `import`.

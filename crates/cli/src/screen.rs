@@ -1,5 +1,5 @@
-//! What people read: tables on standard output, warnings on standard error. Nothing that a terminal would obey gets through,
-//! wherever a text came from; and a stream that cannot be written to is an error of the command and no panic.
+//! What people read: tables on standard output, warnings on standard error. Nothing that a terminal would obey gets
+//! through, wherever a text came from; and a stream that cannot be written to is an error of the command and no panic.
 
 use anyhow::{Context, Result};
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};

@@ -1,4 +1,5 @@
-//! What a stranger's folder can be wrong in: each case a clear error or a named warning, and never a half-written result.
+//! What a stranger's folder can be wrong in: each case a clear error or a named warning, and never a half-written
+//! result.
 
 mod support;
 

@@ -1,5 +1,5 @@
-//! The report and the comparison: the numbers of the page are those of summary.json, the page can be built again, and nothing from
-//! outside becomes markup.
+//! The report and the comparison: the numbers of the page are those of summary.json, the page can be built again, and
+//! nothing from outside becomes markup.
 
 mod support;
 
@@ -117,7 +117,7 @@ fn results_are_compared_within_80_columns() {
     assert!(printed.contains("alpha_2"));
     let page = folder.path().join("compare.html");
     let table = succeed(&["compare", utf8(&first), utf8(&second), "--out", utf8(&page)]);
-    assert!(table.contains("alpha_2") && table.contains("line distance, median"), "{table}");
+    assert!(table.contains("alpha_2") && table.contains("epipolar distance, median"), "{table}");
     for line in table.lines().chain(printed.lines()).filter(|line| !line.contains(utf8(folder.path()))) {
         if line.starts_with(['┌', '│', '└', '╞', '├']) {
             assert!(line.chars().count() <= 80, "{line}");

@@ -1,6 +1,8 @@
-//! The project's words are the field's. Sources, book and page are searched for words that were once used here for things that have a common name.
+//! The project's words are the field's. Sources, book and page are searched for words that were once used here for
+//! things that have a common name.
 //!
-//! Text is cut into words, identifiers into their parts, so that a rule finds `sight`, `max_sights` and `LinearSight` alike, and phrases across the lines of a comment.
+//! Text is cut into words, identifiers into their parts, so that a rule finds `sight`, `max_sights` and `LinearSight`
+//! alike, and phrases across the lines of a comment.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Which cause a text names. The program's words are read by their key words, so that a table can say whether the right cause comes first.
+//! Which cause a text names. The program's words are read by their key words, so that a table can say whether the right
+//! cause comes first.
 
 use anyhow::{Result, bail};
 use serde::{Deserialize, Serialize};
@@ -94,7 +95,8 @@ const WORDS: [(Cause, &[&str]); 18] = [
     ),
 ];
 
-/// The cause that an entry of the summary's list names by its type; `None` for one that blames nothing which these rows make wrong (a parameter of the arm).
+/// The cause that an entry of the summary's list names by its type; `None` for one that blames nothing which these rows
+/// make wrong (a parameter of the arm).
 ///
 /// # Errors
 /// A type that is not known.
@@ -138,7 +140,8 @@ fn of_gross(kind: &str, entry: &Value) -> Result<Cause> {
     })
 }
 
-/// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?") is no naming.
+/// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?")
+/// is no naming.
 pub fn named_in(statement: &str) -> Vec<Cause> {
     let text = assertions(statement).to_lowercase();
     let first = |words: &[&str]| words.iter().filter_map(|word| position(&text, word)).min();

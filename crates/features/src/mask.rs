@@ -260,7 +260,7 @@ fn votes_of(pair: &MatchedPair<'_>, options: &MaskOptions) -> Votes {
     for (a, b) in in_a.iter().zip(&in_b) {
         if (moved(b) - a).norm() <= AGREEING_PX {
             agreeing += 1;
-            // What the scene's motion leaves in place says nothing.
+            // What the scene's motion leaves in place carries no information.
             if (a - b).norm() >= options.scene_moves_px {
                 votes.scene.extend([*a, *b]);
             }

@@ -22,7 +22,7 @@ pub const UNRELATED_DISTANCE: u32 = 243;
 #[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {
     /// The nearest neighbour must be closer than this times the second nearest (paper, 3.2.2: 0.6; Lowe: 0.8).
-    /// From 1 on the test is off. A lone neighbour is held against [`UNRELATED_DISTANCE`].
+    /// From 1 on the test is off. A lone neighbour is compared with [`UNRELATED_DISTANCE`].
     pub ratio: f64,
     /// Keep only pairs that are each other's nearest (paper, 3.2.1).
     pub cross_check: bool,

@@ -1,7 +1,7 @@
 //! `manifest.json`: which files a command wrote into a folder, with their sizes and checksums.
 //!
-//! It distinguishes the files of the result from those that the user put beside them, and notices a folder that is not of one
-//! piece: copied in part, or mixed from two runs.
+//! It distinguishes the files of the result from those that the user put beside them, and notices a folder that is not
+//! of one piece: copied in part, or mixed from two runs.
 
 use crate::open::{Kind, open, read_text};
 use crate::{OutputError, recover};
@@ -45,8 +45,8 @@ pub enum Contents {
 }
 
 impl Contents {
-    /// Names that the command may write into the folder itself: what else exists under one of them is reported before the
-    /// work.
+    /// Names that the command may write into the folder itself: what else exists under one of them is reported before
+    /// the work.
     pub(crate) fn names(self) -> &'static [&'static str] {
         match self {
             Contents::DataSet => &["rig.toml", "postures.csv", "color", "depth", "truth"],

@@ -1,9 +1,9 @@
 //! Numerical inverse kinematics on any chain, by a damped Gauss-Newton method from a start near the solution.
 //!
-//! Minimises `|e(q)|^2`, `e = (t* - t, l log(R* R^T))`, with `l` a length that makes radians comparable to metres.
-//! The step is `J^T (J J^T + mu I)^-1 e = (J^T J + mu I)^-1 J^T e` (Wampler, "Manipulator inverse kinematic solutions based on vector
-//! formulations and damped least-squares methods", 1986), on a
-//! redundant arm the least motion that does it; of the two forms the one with the smaller system is solved. `mu` follows Levenberg and Marquardt.
+//! Minimises `|e(q)|^2`, `e = (t* - t, l log(R* R^T))`, with `l` a length that makes radians comparable to metres. The
+//! step is `J^T (J J^T + mu I)^-1 e = (J^T J + mu I)^-1 J^T e` (Wampler, "Manipulator inverse kinematic solutions based
+//! on vector formulations and damped least-squares methods", 1986), on a redundant arm the least motion that does it;
+//! of the two forms the one with the smaller system is solved. `mu` follows Levenberg and Marquardt.
 
 use crate::chain::JointKind;
 use crate::{ChainJacobian, Isometry3, KinematicsError, SerialChain};

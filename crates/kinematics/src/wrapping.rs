@@ -16,8 +16,8 @@ pub(crate) fn wrapped(angle: f64) -> f64 {
     }
 }
 
-/// The joint value with multiples of 2 pi added, every one that lies within the limits, upwards; without limits, one: in
-/// `(-pi, pi]`. A prismatic joint is not wrapped.
+/// The joint value with multiples of 2 pi added, every one that lies within the limits, upwards; without limits, one:
+/// in `(-pi, pi]`. A prismatic joint is not wrapped.
 pub(crate) fn admitted_revolutions(joint: &Joint, value: f64) -> impl Iterator<Item = f64> {
     let (first, count) = match (joint.kind, joint.limits) {
         (JointKind::Prismatic, _) => (value, usize::from(joint.admits(value))),

@@ -61,8 +61,8 @@ fn grouped(value: f64) -> String {
     if value < 0.0 { format!("-{out}") } else { out }
 }
 
-/// Shows metrics of `summary.json` and says where each is from: `<data value="..." data-from="/json/pointer">text</data>`, the value
-/// as written in the file, the text with fewer digits.
+/// Shows metrics of `summary.json` and says where each is from: `<data value="..."
+/// data-from="/json/pointer">text</data>`, the value as written in the file, the text with fewer digits.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers<'a> {
     run: &'a RunResult,
@@ -115,7 +115,8 @@ pub struct Chart {
     pub layout: Value,
     /// Height in CSS pixels.
     pub height: u32,
-    /// Greatest width in CSS pixels; `None` for the page's. For plots with one scale on both axes, which would leave the rest empty.
+    /// Greatest width in CSS pixels; `None` for the page's. For plots with one scale on both axes, which would leave
+    /// the rest empty.
     pub max_width: Option<u32>,
 }
 

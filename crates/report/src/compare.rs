@@ -1,5 +1,6 @@
-//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free is shown as it was held; where it has no
-//! such row at all, its place is empty. Parameters of one arm are held against each other in sigmas, those of two arms are not.
+//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free is shown as
+//! it was held; where it has no such row at all, its place is empty. Parameters of one arm are compared in sigmas,
+//! those of two arms are not.
 
 use crate::RunResult;
 use crate::charts::{CALIBRATED, Chart, Digits, NOMINAL, number};
@@ -69,8 +70,8 @@ pub struct Cell {
     pub held: bool,
     /// As it is shown.
     pub text: String,
-    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, where a sigma is missing, and
-    /// where the arm is another.
+    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, where a sigma is
+    /// missing, and where the arm is another.
     pub apart_sigmas: Option<f64>,
 }
 
@@ -80,9 +81,9 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("observations of tracks", "/counts/observations", "", Digits::Whole),
     ("free parameters", "/calibration/free", "", Digits::Whole),
     ("identifiable", "/calibration/rank", "", Digits::Whole),
-    ("line distance, median, nominal", "/calibration/epipolar_before/median_px", "px", Digits::Significant(3)),
-    ("line distance, median", "/calibration/epipolar_after/median_px", "px", Digits::Significant(3)),
-    ("line distance, RMS", "/calibration/epipolar_after/rms_px", "px", Digits::Significant(3)),
+    ("epipolar distance, median, nominal", "/calibration/epipolar_before/median_px", "px", Digits::Significant(3)),
+    ("epipolar distance, median", "/calibration/epipolar_after/median_px", "px", Digits::Significant(3)),
+    ("epipolar distance, RMS", "/calibration/epipolar_after/rms_px", "px", Digits::Significant(3)),
     ("reprojection, RMS", "/calibration/reprojection_after/rms_px", "px", Digits::Significant(3)),
     ("held out, nominal", "/held_out/metric_px/nominal", "px", Digits::Significant(3)),
     ("held out", "/held_out/metric_px/calibrated", "px", Digits::Significant(3)),
@@ -96,8 +97,8 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
 ];
 
 impl Comparison {
-    /// Compares; the first run is the one that the others are held against. `rigs`: the calibrated rigs of the runs (`rig.toml`), which say what was
-    /// held; `None`, or nothing at all, where there is none.
+    /// Compares; the first run is the one that the others are compared with. `rigs`: the calibrated rigs of the runs
+    /// (`rig.toml`), which say what was held; `None`, or nothing at all, where there is none.
     pub fn of(runs: &[RunResult], rigs: &[Option<Rig>]) -> Self {
         let mut parameters = parameters(runs);
         add_held(&mut parameters, rigs);
@@ -207,7 +208,7 @@ impl ComparedRun {
     pub fn note(&self, at: usize) -> Option<String> {
         let why = self.another_arm.as_ref()?;
         Some(format!(
-            "[{}] is of another arm than [1] ({why}): its parameters are not held against those of [1].",
+            "[{}] is of another arm than [1] ({why}): its parameters are not compared with those of [1].",
             at + 1
         ))
     }
@@ -236,12 +237,8 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
     let mut parts = vec![Section {
         id: "runs",
         title: "Runs",
-        html: table(
-            "words",
-            "What each run says of itself",
-            &["Run", "Rig", "Data set", "Status", "Verdict"],
-            &verdicts,
-        ) + &notes,
+        html: table("words", "Verdict of each run", &["Run", "Rig", "Data set", "Status", "Verdict"], &verdicts)
+            + &notes,
         charts: Vec::new(),
     }];
     let titles = [("metrics", "Metrics"), ("parameters", "Parameters")];
@@ -253,7 +250,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             "parameters" => {
                 "Calibrated values, \u{b1} sigma; held: not free in this run. In brackets: how many sigmas of both it is away from the first run."
             }
-            _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is said.",
+            _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is given.",
         };
         let mut html = table("numbers", caption, &head, &rows);
         let charts: Vec<Chart> = if id == "metrics" {
@@ -418,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn two_arms_are_not_held_against_each_other() {
+    fn two_arms_are_not_compared() {
         let parameters = |value: f64| json!([{"name": "a_3", "unit": "mm", "calibrated": value, "sigma": 0.1}]);
         let compared = |value: f64, rigs: &[Option<Rig>]| {
             let comparison = Comparison::of(&[run("one", parameters(260.0)), run("two", parameters(value))], rigs);
@@ -426,9 +423,9 @@ mod tests {
             (apart.is_some(), comparison.runs[1].note(1))
         };
         assert_eq!(compared(260.2, &[]), (true, None));
-        let (held_against, note) = compared(425.0, &[]);
-        assert!(!held_against && note.unwrap().contains("a_3 differs by 165 mm"));
-        let (held_against, note) = compared(260.2, &[rig("hp3j"), rig("franka-fr3")]);
-        assert!(!held_against && note.unwrap().contains("7 joints"));
+        let (in_sigmas, note) = compared(425.0, &[]);
+        assert!(!in_sigmas && note.unwrap().contains("a_3 differs by 165 mm"));
+        let (in_sigmas, note) = compared(260.2, &[rig("hp3j"), rig("franka-fr3")]);
+        assert!(!in_sigmas && note.unwrap().contains("7 joints"));
     }
 }

@@ -14,7 +14,7 @@ pub enum Status {
     Red,
 }
 
-/// The status and what speaks for it.
+/// The status and its checks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Judgement {
     /// The worst that any check calls for.

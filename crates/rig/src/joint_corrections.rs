@@ -1,4 +1,5 @@
-//! What joints do beside their encoders: eccentric gears, joints that give way under the arm's weight, a clock that is late.
+//! What joints do beside their encoders: eccentric gears, joints that give way under the arm's weight, a clock that is
+//! late.
 //!
 //! All of it is linear in the numbers of [`JointCorrections`]; what multiplies them is a [`JointReading`].
 
@@ -13,7 +14,7 @@ pub struct JointCorrection {
     pub transmission_sin: f64,
     /// Radians.
     pub transmission_cos: f64,
-    /// Radians a metre of gravity_arm arm.
+    /// Radians per metre of gravity torque arm.
     pub compliance: f64,
 }
 
@@ -53,8 +54,8 @@ pub fn joint_readings(arm: &SerialChain, values: &[f64], rates: &[f64]) -> Resul
     Ok(values.iter().enumerate().map(reading).collect())
 }
 
-/// Fills in the rates of postures in the order of a recording, from the values and timestamps of their neighbours. Where these do not
-/// give them, there are none.
+/// Fills in the rates of postures in the order of a recording, from the values and timestamps of their neighbours.
+/// Where these do not give them, there are none.
 pub fn fill_joint_rates<'a>(postures: impl IntoIterator<Item = &'a mut Posture>) {
     let mut postures: Vec<&mut Posture> = postures.into_iter().collect();
     let joints_of = |posture: &Posture| match &posture.state {
@@ -94,7 +95,8 @@ impl JointCorrections {
         readings.iter().enumerate().map(correct).collect()
     }
 
-    /// What the encoders of an arm at rest say where its joints truly are at `values`: the inverse of [`JointCorrections::applied`].
+    /// What the encoders of an arm at rest say where its joints truly are at `values`: the inverse of
+    /// [`JointCorrections::applied`].
     ///
     /// # Errors
     /// What the arm refuses of the joint values.

@@ -79,8 +79,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     rendered(&dataset, &truth, &seen)
 }
 
-/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which separates a
-/// bias of the reading from the luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4
+/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which separates
+/// a bias of the reading from the luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4
 /// %) is given beside it.
 fn rendered(dataset: &Dataset, truth: &Truth, seen: &[(usize, Pixel)]) -> Result<(), Box<dyn std::error::Error>> {
     const SEEDS: u64 = 6;

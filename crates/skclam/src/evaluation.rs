@@ -1,7 +1,7 @@
 //! How far a rig is from the truth: errors of its parameters, and of the poses that it predicts.
 //!
-//! The base's own gauge: a turn about and a shift along the first joint's axis move every camera pose alike, so no image
-//! determines them (`theta_offset_1` and `d_1`). Errors are given raw, and after that rotation and shift.
+//! The base's own gauge: a turn about and a shift along the first joint's axis move every camera pose alike, so no
+//! image determines them (`theta_offset_1` and `d_1`). Errors are given raw, and after that rotation and shift.
 
 use nalgebra::{Translation3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,8 @@
-//! A data set as the robot would have recorded it: an MCAP of ROS 2 messages (CDR), to practise `import` and to test it.
+//! A data set as the robot would have recorded it: an MCAP of ROS 2 messages (CDR), to practise `import` and to test
+//! it.
 //!
-//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one depth image
-//! at each rest, with their `CameraInfo` and the static transform between the two cameras.
+//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one
+//! depth image at each rest, with their `CameraInfo` and the static transform between the two cameras.
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::progress::{Progress, Stage};
@@ -166,7 +167,8 @@ fn static_transform(color_from_depth: &Isometry3) -> Vec<u8> {
     message.bytes
 }
 
-/// Plain little-endian CDR (OMG DDS-XTypes 7.4.1): every number is aligned to its size, counted from behind the header of four bytes.
+/// Plain little-endian CDR (OMG DDS-XTypes 7.4.1): every number is aligned to its size, counted from behind the header
+/// of four bytes.
 struct Cdr {
     bytes: Vec<u8>,
 }

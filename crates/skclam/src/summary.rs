@@ -1,4 +1,4 @@
-//! `summary.json`: every metric of a run that a person or a script may want. Units are in the names.
+//! `summary.json`: every number of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
     BoardSummary, Cause, CheckResult, Config, DepthConsistencySummary, EgoMaskSummary, Evidence, HeldOutSummary,
@@ -122,7 +122,8 @@ pub struct CalibrationSummary {
     pub observability: Option<[f64; 5]>,
     /// What is not identifiable, and why, in words.
     pub not_identifiable: Vec<String>,
-    /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that were not refined).
+    /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that
+    /// were not refined).
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2`, 1/m.
     pub depth_sigma_per_m2: Option<f64>,

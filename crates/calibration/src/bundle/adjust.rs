@@ -20,7 +20,8 @@ use skclam_rig::Rig;
 
 /// A gain below this, in squared sigmas, means nothing.
 const MEANINGLESS_GAIN: f64 = 1e-3;
-/// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single points still have to go.
+/// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single
+/// points still have to go.
 const MEANINGLESS_SIGMAS: f64 = 0.02;
 
 /// All that a minimisation needs besides the state.
@@ -150,8 +151,8 @@ impl Adjustment<'_> {
         Ok(self.normal_equations(state, sigmas)?.0)
     }
 
-    /// Normal matrix and negative gradient of the data by all unknowns, points eliminated, less what the loss wastes of them; with the prior of the posture errors for some
-    /// sigmas, without those of the parameters.
+    /// Normal matrix and negative gradient of the data by all unknowns, points eliminated, less what the loss wastes of
+    /// them; with the prior of the posture errors for some sigmas, without those of the parameters.
     pub(crate) fn normal_equations(
         &self,
         state: &State,

@@ -1,7 +1,9 @@
-//! What a calibration can be expected to determine, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
+//! What a calibration can be expected to determine, from postures and scene points alone: the Cramer-Rao bound before
+//! any image is matched.
 //!
-//! The information about the parameters does not depend on what was measured, only on where the measurements are made. So observations predicted
-//! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
+//! The information about the parameters does not depend on what was measured, only on where the measurements are made.
+//! So observations predicted by the nominal rig, with the noise that is expected of them, give the covariance of a
+//! calibration that has not been made.
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::LossCorrection;
@@ -67,8 +69,9 @@ pub struct ExpectedCalibration {
     pub poses: Vec<PoseCovariance>,
 }
 
-/// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board corners as the nominal
-/// rig would see them; pairs are not used. Nothing is solved. Fails where `data` are malformed, or are fewer than the free parameters.
+/// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board
+/// corners as the nominal rig would see them; pairs are not used. Nothing is solved. Fails where `data` are malformed,
+/// or are fewer than the free parameters.
 pub fn expected_calibration(
     nominal: &Rig,
     data: &Correspondences,
@@ -132,7 +135,8 @@ pub fn expected_calibration(
     priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
     let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
     let inputs = PosteriorInputs { likelihood, prior_normal, priors: priors.clone(), ruler, held: true };
-    // Predicted data lie at the nominal arm and would say that it has no errors: what arms are made to is averaged over instead.
+    // Predicted data lie at the nominal arm and would say that it has no errors: what arms are made to is averaged over
+    // instead.
     let nearest = || covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), &parameters);
     let covariance = inputs.expected_covariance().unwrap_or_else(nearest);
     let normal = inputs.with_instruments(&parameters);

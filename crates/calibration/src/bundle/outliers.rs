@@ -1,6 +1,7 @@
 //! Which postures do not belong: wrong joint values, a displaced camera, a moved scene.
 //!
-//! Where two observations of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in which at least two others agree.
+//! Where two observations of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in
+//! which at least two others agree.
 
 use crate::PostureFit;
 use crate::bundle::noise::{OUTLIER_SIGMAS, posture_fits};
@@ -16,8 +17,8 @@ const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
 /// Observations that a judgement takes.
 const MIN_OBSERVATIONS: usize = 8;
 
-/// How well each posture fits where it can be judged: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
-/// judged by all.
+/// How well each posture fits where it can be judged: in tracks of three observations or more of which two agree, and
+/// on the board. Postures with hardly any such observations are judged by all.
 pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec<PostureFit> {
     let mut judged: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
     for range in observations.offsets.windows(2) {

@@ -1,4 +1,5 @@
-//! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid into its corners.
+//! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid
+//! into its corners.
 
 use crate::bundle::observations::{Observation, Observations};
 use crate::bundle::projection_model::ProjectionModel;
@@ -19,8 +20,8 @@ const PAIRS_A_TRACK: usize = 6;
 /// Pairs that a posture keeps.
 const PAIRS_A_POSTURE: usize = 4;
 
-/// Pair matches from tracks and board corners: of a track of k observations, up to six pairs, near ones and wide ones; of a posture, the pairs with
-/// the most matches.
+/// Pair matches from tracks and board corners: of a track of k observations, up to six pairs, near ones and wide ones;
+/// of a posture, the pairs with the most matches.
 pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches> {
     let mut by_pair: Vec<Vec<PairMatch>> = vec![Vec::new(); observations.postures * observations.postures];
     let mut add = |track: &[Observation]| {
@@ -110,7 +111,8 @@ fn align(corners: &[(Point3, Point3)]) -> Option<Isometry3> {
 /// Matches that the pairwise start looks at.
 const START_MATCHES: usize = 20_000;
 
-/// A model near enough for the minimisation, and the noise of its matches. Without enough pair matches it is the nominal one.
+/// A model near enough for the minimisation, and the noise of its matches. Without enough pair matches it is the
+/// nominal one.
 pub(crate) fn start(
     nominal: &Rig,
     data: &Correspondences,

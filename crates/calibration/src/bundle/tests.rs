@@ -43,7 +43,8 @@ fn recording(errors: Errors, postures: usize, points: usize, sensing: Sensing, s
     (truth, data)
 }
 
-/// Largest error of a parameter of arm and mount in its sigmas, with the standard of length exact, as it is in these recordings.
+/// Largest error of a parameter of arm and mount in its sigmas, with the standard of length exact, as it is in these
+/// recordings.
 fn largest_error_in_sigmas(result: &Calibration, truth: &Rig) -> f64 {
     let truth = Model::new(truth.clone());
     let covariance = result.covariance_without_ruler().unwrap();
@@ -223,7 +224,8 @@ fn noisy_rgbd_is_fitted_within_its_sigmas() {
     let (truth, data) = recording(manufacture(), 40, 4000, rgbd(), 2);
     let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
-    // Lengths are no better known than the depth's scale; what no slanted surface shows of the depth camera's place stays as it was.
+    // Lengths are no better known than the depth's scale; what no slanted surface shows of the depth camera's place
+    // stays as it was.
     let silent: Vec<_> = result.parameters.iter().filter(|e| e.sigma.is_none()).map(|e| e.parameter).collect();
     let of_length = |p: &Parameter| matches!(p, Parameter::Chain(_)) && p.unit() == Unit::Metre;
     assert!(silent.iter().all(|p| p.is_nuisance() || of_length(p)), "{silent:?}");
@@ -302,7 +304,8 @@ fn forty_percent_of_wrong_observations_do_not_move_it() {
 
 #[test]
 fn repeated_texture_does_not_move_it() {
-    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the observations, 40 % of pair matches.
+    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the
+    // observations, 40 % of pair matches.
     let (truth, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
     for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
@@ -398,7 +401,8 @@ fn a_displaced_camera_does_not_hide_a_wrong_posture() {
 
 #[test]
 fn matches_that_contradict_each_other_are_reported() {
-    // Every other observation sees the like thing 60 px to the right, consistently: which of the two worlds is the right one is not identifiable.
+    // Every other observation sees the like thing 60 px to the right, consistently: which of the two worlds is the
+    // right one is not identifiable.
     let (_, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
     for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {

@@ -29,7 +29,8 @@ pub struct ExportArgs {
     /// The data set that was calibrated.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub dataset: Option<PathBuf>,
-    /// Write result.mcap too, for Foxglove and Rerun: images, frames, trajectories, maps, residuals, nominal and calibrated.
+    /// Write result.mcap too, for Foxglove and Rerun: images, frames, trajectories, maps, residuals, nominal and
+    /// calibrated.
     #[arg(long, requires = "dataset")]
     pub mcap: bool,
     /// Leave the residuals out of result.mcap; otherwise the images are matched once more, as in the run.

@@ -188,7 +188,7 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
     }
     say!("{table}");
     say!(
-        "{} postures, {} pairs that should see the same, {} connected group(s)",
+        "{} postures, {} pairs with predicted overlap, {} connected group(s)",
         inspection.postures,
         inspection.pairs.len(),
         inspection.groups.len()
@@ -214,7 +214,7 @@ fn show_expected(expected: &ExpectedSigmas) {
     }
     say!("{table}");
     if expected.parameters.iter().any(|parameter| parameter.sigma.is_none()) {
-        say!("-: these postures say next to nothing of it; it keeps its tolerance");
+        say!("-: hardly determined by these postures; it keeps its tolerance");
     }
     say!(
         "camera over the postures: expected sigma {:.3} mm and {:.4} deg in the mean, {:.3} mm and {:.4} deg at most",

@@ -82,7 +82,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     Ok(())
 }
 
-/// An estimator that failed speaks of matrices; where the data have a slip that explains it, that is said first.
+/// The error of a failed estimator is about matrices; where the data have a slip that explains it, that is said first.
 fn with_cause(dataset: &Dataset, error: RunError) -> anyhow::Error {
     let of_the_data = matches!(error, RunError::Calibration(_) | RunError::Features(_));
     match of_the_data.then(|| likely_cause(dataset)).flatten() {
@@ -149,8 +149,8 @@ pub fn show(summary: &Summary) {
         let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
         for (name, before, after) in [
             ("error function, Eq. (7)", before.error_function, after.error_function),
-            ("point-line distance, RMS", before.rms_px, after.rms_px),
-            ("point-line distance, median", before.median_px, after.median_px),
+            ("epipolar distance, RMS", before.rms_px, after.rms_px),
+            ("epipolar distance, median", before.median_px, after.median_px),
         ] {
             table.add_row([name.to_owned(), format!("{before:.3}"), format!("{after:.3}")]);
         }
@@ -249,7 +249,7 @@ pub fn coverage_line(coverage: &MapCoverage) -> String {
         parts.push(format!("border open {}", percent(fraction)));
     }
     parts.push(format!("no depth {}", percent(coverage.depth_without_value)));
-    format!("Seen: {}", parts.join("; "))
+    format!("Observed: {}", parts.join("; "))
 }
 
 /// What is known of flange and camera.

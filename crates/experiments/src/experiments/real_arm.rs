@@ -1,7 +1,8 @@
 //! A real arm judged by an optical tracker, and by a second day.
 //!
-//! `cargo run --release -p skclam-experiments -- real-arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in `../shared/data` (or in `SKCLAM_DATA`).
-//! The tracker's points are those of `nachi-mz25/tracker.csv` for both days: it is one arm.
+//! `cargo run --release -p skclam-experiments -- real-arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in
+//! `../shared/data` (or in `SKCLAM_DATA`). The tracker's points are those of `nachi-mz25/tracker.csv` for both days: it
+//! is one arm.
 
 use crate::measured::{claimed, shown};
 use crate::two_days::disagreement;

@@ -84,7 +84,8 @@ fn reversed(cell: &Cell) -> Result<Variant> {
     })
 }
 
-/// The images of an arm whose encoders would have said other values: the table holds these, and a right answer is given them too.
+/// The images of an arm whose encoders would have said other values: the table holds these, and a right answer is given
+/// them too.
 fn behaving_otherwise(cell: &Cell, said: impl Fn(&[f64]) -> Result<Vec<f64>>) -> Result<Variant> {
     let mut variant = Variant::unchanged(cell, POSTURES)?;
     for (record, posture) in variant.records.iter_mut().zip(&mut variant.truth.postures) {
@@ -123,8 +124,8 @@ fn geared(cell: &Cell) -> Result<Variant> {
     })
 }
 
-/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that was a little elsewhere would have
-/// taken the same images. Postures at which there is no such arm are left out.
+/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that was a little
+/// elsewhere would have taken the same images. Postures at which there is no such arm are left out.
 fn slipped(cell: &Cell) -> Result<Variant> {
     const DEGREES: f64 = 0.2;
     let whole = Variant::unchanged(cell, POSTURES)?;

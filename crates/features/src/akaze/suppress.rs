@@ -88,7 +88,7 @@ impl LevelMaxima {
     }
 }
 
-/// Lets the maxima of two neighbouring levels suppress_between.
+/// Non-maximum suppression between two neighbouring levels.
 pub(crate) fn suppress_between(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
     let reach = up.step as f32;
     for (p, beaten) in lower.kept.points.iter().zip(&mut lower.beaten_from_above) {

@@ -140,8 +140,8 @@ impl Search<'_> {
         }
     }
 
-    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only, under one
-    /// of its possible beginnings.
+    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only,
+    /// under one of its possible beginnings.
     fn judge(&self, grid: &Grid, is_clipped: bool, best: &mut Option<FoundBoard>) {
         let larger = |count: usize| best.as_ref().is_none_or(|other| other.corners.len() < count);
         if grid.corners.len() < self.options.min_corners || !larger(grid.corners.len()) {

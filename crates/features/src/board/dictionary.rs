@@ -1,9 +1,10 @@
 //! ArUco's dictionaries: which bits make which marker.
 //!
 //! What a marker shows is a fact that printed boards fix: the patterns are those of OpenCV's predefined dictionaries
-//! (`cv::aruco::PredefinedDictionaryType`), all but the rare and long AprilTag 36h10 (Garrido-Jurado et al., "Automatic generation and detection of
-//! highly reliable fiducial markers under occlusion", 2014; the AprilTags are Olson's and Wang's). The names are OpenCV's too.
-//! The tables in `dictionaries/` hold a marker a line: its inner bits row by row as a hexadecimal number, the first bit foremost, white = 1.
+//! (`cv::aruco::PredefinedDictionaryType`), all but the rare and long AprilTag 36h10 (Garrido-Jurado et al., "Automatic
+//! generation and detection of highly reliable fiducial markers under occlusion", 2014; the AprilTags are Olson's and
+//! Wang's). The names are OpenCV's too. The tables in `dictionaries/` hold a marker a line: its inner bits row by row
+//! as a hexadecimal number, the first bit foremost, white = 1.
 
 use crate::FeaturesError;
 
@@ -95,8 +96,9 @@ impl Dictionary {
         self.codes.get(id).filter(|_| inside).map(|code| code >> shift & 1 == 1)
     }
 
-    /// The marker among the first `count` that fits `bits` (row by row, first foremost, white = 1), and by how many quarter turns clockwise the marker
-    /// must be turned to look like `bits`. `None` where none fits, or two fit as well.
+    /// The marker among the first `count` that fits `bits` (row by row, first foremost, white = 1), and by how many
+    /// quarter turns clockwise the marker must be turned to look like `bits`. `None` where none fits, or two fit as
+    /// well.
     pub(crate) fn find(&self, bits: u64, count: usize) -> Option<(usize, usize)> {
         let forgiven = ((self.distance - 1) / 2).min(FORGIVEN);
         // Turning the reading back instead of every marker forth.

@@ -240,7 +240,8 @@ impl Grid {
     }
 }
 
-/// Where a corner should be: how long a square is there, and a direction of the grid (an index of `STEPS`) with its angle in the image, rad.
+/// Where a corner should be: how long a square is there, and a direction of the grid (an index of `STEPS`) with its
+/// angle in the image, rad.
 #[derive(Debug, Clone, Copy)]
 struct Expected {
     x: f32,

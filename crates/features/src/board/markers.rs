@@ -17,7 +17,8 @@ const SAMPLES: usize = 3;
 /// The labellings of a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
 /// where fewer than two agree.
 ///
-/// A grid that was clipped to the board under one beginning says nothing of the other: then all labellings are returned.
+/// A grid that was clipped to the board under one beginning says nothing of the other: then all labellings are
+/// returned.
 pub(super) fn read(
     image: &Plane,
     grid: &Grid,

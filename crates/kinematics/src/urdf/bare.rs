@@ -7,7 +7,8 @@ use std::fmt::Write;
 /// Placeholder for the greatest effort, N m or N. Planners that read it want it above zero; none plans with it alone.
 const EFFORT: f64 = 100.0;
 
-/// Placeholder for the greatest speed: slow for an arm, so that a motion planned with it is too slow and not too fast; zero would forbid any.
+/// Placeholder for the greatest speed: slow for an arm, so that a motion planned with it is too slow and not too fast;
+/// zero would forbid any.
 fn velocity(kind: JointKind) -> f64 {
     match kind {
         JointKind::Revolute => 1.0,
@@ -18,16 +19,17 @@ fn velocity(kind: JointKind) -> f64 {
 const PLACEHOLDERS: &str = "  <!-- Effort and velocity of the joints are not known to the calibration: the values are placeholders, chosen slow.\n       \
                          Put those of the maker in their place before you plan with them. -->\n";
 
-/// A robot description of nothing but the chain, from `base_link` to `tip_link`: the forward kinematics of the text are the chain's. Joints without
-/// limits are `continuous`; a sliding joint without limits gets 1000 km either way, because URDF knows none without. Its `limit` must have an effort and
-/// a velocity too, which a calibration does not know: the text has placeholders (100 N m and 1 rad/s, 100 N and 0.1 m/s) and says so in a comment.
+/// A robot description of nothing but the chain, from `base_link` to `tip_link`: the forward kinematics of the text are
+/// the chain's. Joints without limits are `continuous`; a sliding joint without limits gets 1000 km either way, because
+/// URDF knows none without. Its `limit` must have an effort and a velocity too, which a calibration does not know: the
+/// text has placeholders (100 N m and 1 rad/s, 100 N and 0.1 m/s) and says so in a comment.
 pub fn bare_urdf(chain: &SerialChain, robot: &str, base_link: &str, tip_link: &str) -> String {
     let link = |at: usize| if at == 0 { escaped(base_link) } else { format!("link_{at}") };
     let mut text = format!("<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n{PLACEHOLDERS}", escaped(robot));
     let mut pending = Isometry3::identity();
     for (at, joint) in chain.joints().iter().enumerate() {
-        // Motions along and about the joint's own axis commute with the joint: they are in its origin. What follows them belongs
-        // to the next origin.
+        // Motions along and about the joint's own axis commute with the joint: they are in its origin. What follows
+        // them belongs to the next origin.
         let motions = joint.link.motions(0.0, 0.0);
         let along_axis = |kind: ParameterKind| matches!(kind, ParameterKind::ThetaOffset | ParameterKind::D);
         let split = motions.iter().rposition(|(kind, _)| along_axis(*kind)).map_or(0, |last| last + 1);

@@ -101,8 +101,8 @@ impl CollisionModel {
         steps.filter_map(|step| step.motion.as_ref()).map(|(name, ..)| name.as_str()).collect()
     }
 
-    /// `base_from_shape` of every shape at the values (radians or metres) that `value_of` gives the joints by name; joints
-    /// without one are at 0.
+    /// `base_from_shape` of every shape at the values (radians or metres) that `value_of` gives the joints by name;
+    /// joints without one are at 0.
     pub fn base_from_shapes(&self, value_of: impl Fn(&str) -> Option<f64>) -> Vec<Isometry3> {
         let root_from =
             |steps: &[Step]| steps.iter().fold(Isometry3::identity(), |pose, step| pose * step.pose(&value_of));

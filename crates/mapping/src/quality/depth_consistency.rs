@@ -24,7 +24,8 @@ pub struct DepthConsistencyOptions {
     pub stride: usize,
     /// Pairs with fewer points in common do not overlap.
     pub min_points: usize,
-    /// Of the points taken, every how many along each axis is listed one by one in [`DepthConsistency::samples`]; 0 for none.
+    /// Of the points taken, every how many along each axis is listed one by one in [`DepthConsistency::samples`]; 0 for
+    /// none.
     pub sample_every: usize,
 }
 

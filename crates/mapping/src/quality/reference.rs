@@ -30,7 +30,8 @@ pub struct ReferenceOptions {
     pub spacing_m: f64,
     /// Distances beyond this count as this, metres.
     pub limit_m: f64,
-    /// A sample is observed if a view's depth there agrees with it up to this plus four sigma of the depth noise, metres.
+    /// A sample is observed if a view's depth there agrees with it up to this plus four sigma of the depth noise,
+    /// metres.
     pub observed_within_m: f64,
 }
 

@@ -2,8 +2,8 @@
 //!
 //! Points are drawn as discs of a given radius, triangles by scan conversion, both with a depth buffer at several
 //! samples a pixel. Eye-dome lighting (Boucheny 2009: darken what lies behind its neighbours on the screen) makes depth
-//! readable where there is no other light; normals, where there are any, add a soft light from the viewer. Surfaces that
-//! turn their back to the viewer are left out, so that one can look into a closed cell through its walls.
+//! readable where there is no other light; normals, where there are any, add a soft light from the viewer. Surfaces
+//! that turn their back to the viewer are left out, so that one can look into a closed cell through its walls.
 
 mod camera;
 mod raster;

@@ -1,8 +1,8 @@
 //! A coarser mesh for collision checking: vertex clustering with quadric placement (Lindstrom 2000).
 //!
-//! All vertices in one cell of a grid whose normals point the same way become one, at the point nearest to the planes of
-//! their triangles, so that flat parts stay flat and edges sharp. Merging vertices cannot tear a surface open, and since
-//! the direction counts, the two sides of a thin wall do not collapse onto each other.
+//! All vertices in one cell of a grid whose normals point the same way become one, at the point nearest to the planes
+//! of their triangles, so that flat parts stay flat and edges sharp. Merging vertices cannot tear a surface open, and
+//! since the direction counts, the two sides of a thin wall do not collapse onto each other.
 
 use super::vertex_normals;
 use crate::voxel::{VoxelKey, VoxelMap};

@@ -137,7 +137,8 @@ fn project_layer<const DISTORTED: bool>(update: &Update<'_>, start: Vector3<f32>
     }
 }
 
-/// 1.5 x 2^23. Single precision steps by one around it, so that adding it rounds, and leaves the number in the lowest bits.
+/// 1.5 x 2^23. Single precision steps by one around it, so that adding it rounds, and leaves the number in the lowest
+/// bits.
 const SHIFT: f32 = 12_582_912.0;
 
 /// The whole part of a number of at least 0 and below 2^22 (or one less at a whole number): two instructions, where a

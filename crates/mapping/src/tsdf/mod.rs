@@ -78,8 +78,8 @@ impl Default for TsdfOptions {
 }
 
 impl TsdfOptions {
-    /// A voxel that fits a camera at a range: the width of a pixel there, or a third of the depth noise if that is more,
-    /// rounded to half millimetres.
+    /// A voxel that fits a camera at a range: the width of a pixel there, or a third of the depth noise if that is
+    /// more, rounded to half millimetres.
     pub fn voxel_for(camera: &PinholeCamera, range_m: f64, filter: &DepthFilter) -> f64 {
         let pixel_m = range_m / camera.fx.min(camera.fy);
         let wanted = pixel_m.max(filter.noise.sigma(range_m) / 3.0);

@@ -26,7 +26,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
             .map(|reason| vec![escaped(reason), escaped(&advice(reason))])
             .collect();
         html += &if reasons.is_empty() {
-            "<p>Nothing among the free parameters is beyond the data.</p>\n".to_owned()
+            "<p>All free parameters are identifiable.</p>\n".to_owned()
         } else {
             table("words", "Not identifiable: held by the priors, not by the data", &["What", "What to do"], &reasons)
         };

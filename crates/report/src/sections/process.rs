@@ -53,7 +53,7 @@ fn filters(run: &RunResult) -> String {
         ("observations of tracks", "/counts/observations"),
         ("positions refined to a fraction of a pixel", "/tracks/refined"),
         ("positions rejected by the refinement", "/tracks/rejected"),
-        ("links that contradicted a track", "/tracks/links/conflicts"),
+        ("links that conflicted with a track", "/tracks/links/conflicts"),
     ] {
         if run.number(pointer).is_some() {
             rows.push(vec![name.to_owned(), numbers.show(pointer, Digits::Whole), String::new()]);

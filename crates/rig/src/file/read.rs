@@ -158,7 +158,8 @@ impl Reader<'_> {
             .map_err(|error: KinematicsError| self.value("robot", error.to_string()))
     }
 
-    /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one choice.
+    /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one
+    /// choice.
     fn urdf(&self, table: RobotTable) -> Result<SerialChain, RigFileError> {
         if table.convention.is_some() || !table.joint.is_empty() {
             return Err(

@@ -1,4 +1,4 @@
-//! Whether a JPEG is whole: decoders show grey for what is missing and say nothing.
+//! Whether a JPEG is whole: decoders show grey for what is missing without an error.
 //!
 //! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next
 //! marker. A search for the bytes of the end marker alone would find that of a thumbnail in the metadata.

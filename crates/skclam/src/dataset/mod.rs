@@ -90,7 +90,8 @@ impl Dataset {
         images::read_gray(&self.folder, &self.records[index].color, &self.rig.color)
     }
 
-    /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture has none.
+    /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture
+    /// has none.
     pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
         let record = &self.records[index];
         let (Some(path), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };

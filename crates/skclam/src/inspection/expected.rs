@@ -1,8 +1,10 @@
-//! How well the arm can be calibrated with these postures: observations that the nominal rig predicts, and the covariance that they would give.
+//! How well the arm can be calibrated with these postures: observations that the nominal rig predicts, and the
+//! covariance that they would give.
 //!
-//! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should be matched with it,
-//! as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are not predicted but found, and used as a run
-//! uses them: alone where (nearly) every posture shows them and there is no depth.
+//! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should
+//! be matched with it, as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are
+//! not predicted but found, and used as a run uses them: alone where (nearly) every posture shows them and there is no
+//! depth.
 
 use crate::dataset::Dataset;
 use crate::evaluation::Statistics;
@@ -27,7 +29,7 @@ use super::JointCoverage;
 pub struct ExpectedSigmaOptions {
     /// Points of the grid on each image, columns and rows.
     pub grid: [u32; 2],
-    /// Images that show a point, at most: the one of the grid and some of its neighbors in turn.
+    /// Images that show a point, at most: the one of the grid and some of its neighbours in turn.
     pub observations_per_point: usize,
     /// Noise, priors and what is free.
     pub expectation: ExpectationOptions,
@@ -69,7 +71,8 @@ pub struct ExpectedSigmas {
     pub free: usize,
     /// How many combinations of them the residuals depend on.
     pub rank: usize,
-    /// How many combinations become known to half of their tolerance or better; the others stay about as they were before.
+    /// How many combinations become known to half of their tolerance or better; the others stay about as they were
+    /// before.
     pub identifiable: usize,
     /// Greatest over smallest singular value of what is identifiable.
     pub condition_number: Option<f64>,
@@ -233,8 +236,8 @@ pub(super) fn expected_sigmas(
 /// Variance that is left of a combination's tolerance where it counts as determined: half the standard deviation.
 const IDENTIFIABLE_VARIANCE: f64 = 0.25;
 
-/// Combinations of parameters that the data make known: directions in which the expected covariance, measured by the tolerances,
-/// is small. What the residuals do not depend on is none, whatever its variance is taken as.
+/// Combinations of parameters that the data make known: directions in which the expected covariance, measured by the
+/// tolerances, is small. What the residuals do not depend on is none, whatever its variance is taken as.
 fn identifiable_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
     let tolerance = |k: usize| {
         let parameter = expected.parameters[k].parameter;
@@ -246,7 +249,7 @@ fn identifiable_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize
     left.iter().filter(|&&variance| variance < IDENTIFIABLE_VARIANCE).count().min(expected.identifiability.rank)
 }
 
-/// Each image's points and where its neighbors show them.
+/// Each image's points and where its neighbours show them.
 fn predicted_tracks(
     views: &[Predicted],
     pairs: &[ImagePair],
@@ -278,7 +281,7 @@ fn predicted_tracks(
                 if observations.len() >= observations_per_point {
                     break;
                 }
-                // In turn, so that no neighbor is preferred.
+                // In turn, so that no neighbour is preferred.
                 let (b, b_from_a) = &others[(number + step) % others.len()];
                 let Some((pixel, in_b)) = shown_to(point, b_from_a, camera, pairing) else { continue };
                 if !views[*b].surface.as_ref().is_some_and(|surface| surface.hides(camera, &pixel, in_b.z)) {

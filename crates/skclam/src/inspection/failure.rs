@@ -1,5 +1,5 @@
-//! What may be wrong with a data set that could not be calibrated: an estimator speaks of matrices, a person looks
-//! for a slip.
+//! What may be wrong with a data set that could not be calibrated: the error of an estimator is about matrices, a
+//! person looks for a slip.
 
 use super::InspectionOptions;
 use crate::dataset::Dataset;

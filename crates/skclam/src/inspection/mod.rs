@@ -1,5 +1,6 @@
 //! A dataset judged before any calibration: how the joints are covered, how sharp and how well exposed the images are,
-//! which postures should see the same, how well each parameter can be derived from them, and what is likely to go wrong.
+//! which postures should see the same, how well each parameter can be determined from them, and what is likely to go
+//! wrong.
 
 mod expected;
 mod failure;
@@ -40,7 +41,8 @@ pub struct InspectionOptions {
     pub max_clipped: f64,
     /// A depth image with a smaller fraction of measured pixels is a poor one.
     pub min_depth_fraction: f64,
-    /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt, metres.
+    /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt,
+    /// metres.
     pub plausible_depth_m: [f64; 2],
     /// Detector of the rig's board.
     pub board: BoardOptions,
@@ -114,7 +116,8 @@ pub struct Inspection {
     pub groups: Vec<Vec<usize>>,
     /// The rig's board in the images; `null` where the rig has none.
     pub board: Option<BoardSummary>,
-    /// How well each parameter can be determined from these postures; `null` where they cannot be calibrated with at all.
+    /// How well each parameter can be determined from these postures; `null` where they cannot be calibrated with at
+    /// all.
     pub expected: Option<ExpectedSigmas>,
     /// What a user should know, each with advice.
     pub warnings: Vec<String>,

@@ -1,8 +1,8 @@
 //! The rig's board in the images: found, its corners labelled alike in all of them, and how well they fit in the end.
 //!
-//! Where a pattern can be labelled in several ways (a part of it is out of view, or it looks the same when turned), the nominal rig decides: the board
-//! stood still, so all postures must see it in one place. The right labelling puts it there; the others are off by squares or by
-//! half a turn. What is not clear by far is left out, and named.
+//! Where a pattern can be labelled in several ways (a part of it is out of view, or it looks the same when turned), the
+//! nominal rig decides: the board stood still, so all postures must see it in one place. The right labelling puts it
+//! there; the others are off by squares or by half a turn. What is not clear by far is left out, and named.
 
 use super::{BoardUse, Config, ImageFeatures, RunError};
 use crate::dataset::Dataset;
@@ -31,7 +31,7 @@ pub struct BoardSummary {
     pub nominal_rms_px: Option<f64>,
     /// The same under the nominal arm with the mount fitted to the board: what a calibration of the arm must beat.
     pub mount_fitted_rms_px: Option<f64>,
-    /// The same under the calibrated rig, joint values taken at their word.
+    /// The same under the calibrated rig, joint values taken as exact.
     pub calibrated_rms_px: Option<f64>,
 }
 
@@ -47,9 +47,10 @@ const NEARLY_ALL: f64 = 0.9;
 
 /// Whether the board is used alone.
 ///
-/// Corners are named beyond doubt and known to a few hundredths of a pixel. Natural features of a scene that was arranged for a board are
-/// few and short-lived; on the one real recording at hand they made the fit worse (benchmarks/estimator, 2026-11-23-board). They are wanted where the board is
-/// missing, and where they bring depth, which a board's corners do not.
+/// Corners are named beyond doubt and known to a few hundredths of a pixel. Natural features of a scene that was
+/// arranged for a board are few and short-lived; on the one real recording at hand they made the fit worse
+/// (benchmarks/estimator, 2026-11-23-board). They are wanted where the board is missing, and where they bring depth,
+/// which a board's corners do not.
 pub(crate) fn board_alone(chosen: BoardUse, seen: usize, postures: usize, has_depth: bool) -> bool {
     match chosen {
         BoardUse::Alone => seen > 0,
@@ -76,7 +77,8 @@ struct Candidate {
     color_from_board: Isometry3,
 }
 
-/// Finds the board in every image; `None` where the rig has none. `images` may hold the grey images of the data set, and may be empty.
+/// Finds the board in every image; `None` where the rig has none. `images` may hold the grey images of the data set,
+/// and may be empty.
 pub fn find_boards(
     dataset: &Dataset,
     images: &[ImageFeatures],
@@ -124,7 +126,8 @@ fn corners(found: &FoundBoard, labelling: &Labelling, layout: &BoardLayout) -> V
     corners.map(|corner| (corner.column, corner.row, Pixel::new(corner.x, corner.y))).collect()
 }
 
-/// For each posture the labelling of its corners that agrees with the others; `None` without a board, or where it is not clear.
+/// For each posture the labelling of its corners that agrees with the others; `None` without a board, or where it is
+/// not clear.
 fn label_alike(
     dataset: &Dataset,
     layout: &BoardLayout,

@@ -48,7 +48,8 @@ pub struct Config {
     pub pairing: PairingOptions,
     /// How candidates are searched.
     pub search: Search,
-    /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts. `None`: no gate.
+    /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts.
+    /// `None`: no gate.
     pub epipolar_gate_deg: Option<f64>,
     /// The filters of section 3.2; the gate's pixels follow from `epipolar_gate_deg`.
     pub filter: FilterOptions,
@@ -56,7 +57,8 @@ pub struct Config {
     pub mask: Option<MaskOptions>,
     /// Joins matches to tracks over many images; `None`: pairs alone.
     pub tracks: Option<TrackOptions>,
-    /// Observations that the estimator takes at most (approximately), from tracks evenly over the recording; `None`: all.
+    /// Observations that the estimator takes at most (approximately), from tracks evenly over the recording; `None`:
+    /// all.
     pub max_observations: Option<usize>,
     /// Aligns the patches of a track's observations to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,
@@ -108,7 +110,8 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The paper to the letter: sections 3.2 and 3.3, `theta_th = 7.3 deg`, the 30 best of neighbouring pairs, the ten angles.
+    /// The paper to the letter: sections 3.2 and 3.3, `theta_th = 7.3 deg`, the 30 best of neighbouring pairs, the ten
+    /// angles.
     pub fn paper() -> Self {
         Config {
             free: Free::Angles,
@@ -128,7 +131,8 @@ impl Config {
         }
     }
 
-    /// These settings with every key replaced that a JSON text gives; of a whole `summary.json` its `configuration` is taken.
+    /// These settings with every key replaced that a JSON text gives; of a whole `summary.json` its `configuration` is
+    /// taken.
     ///
     /// # Errors
     /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting.

@@ -1,4 +1,5 @@
-//! Depth consistency: how far apart the surfaces of overlapping depth images are at the poses of a rig. The matches take no part in it.
+//! Depth consistency: how far apart the surfaces of overlapping depth images are at the poses of a rig. The matches
+//! take no part in it.
 
 use super::RunError;
 use crate::dataset::Dataset;

@@ -90,7 +90,8 @@ pub struct GrossFinding {
     /// [`GrossCause::MountFarOff`]: with the rig's), px; `None` where no mount fits at all.
     pub before_px: Option<f64>,
     /// The same with the mistake undone and the mount fitted; where no mistake was found, of the best hypothesis; for
-    /// [`GrossCause::SceneOrCamera`] of epipolar geometries that need no intrinsics. px; `None` where no hypothesis fits at all.
+    /// [`GrossCause::SceneOrCamera`] of epipolar geometries that need no intrinsics. px; `None` where no hypothesis
+    /// fits at all.
     pub after_px: Option<f64>,
     /// The next best hypothesis and its median distance, px; `None` where nothing else was tried.
     pub second: Option<(GrossCause, f64)>,

@@ -1,4 +1,5 @@
-//! From matches to what the estimators take: points followed over many images, each observation with one refined position.
+//! From matches to what the estimators take: points followed over many images, each observation with one refined
+//! position.
 
 use super::{Config, ImageFeatures, MatchedPair, PlaneWarp, RunError};
 use crate::dataset::Dataset;
@@ -96,8 +97,8 @@ pub fn correspondences(
     Ok((data, Some(summary)))
 }
 
-/// Every k-th track, evenly over the recording, so that about `max_observations` are left: the error falls only with the root
-/// of their number, the time grows with it.
+/// Every k-th track, evenly over the recording, so that about `max_observations` are left: the error falls only with
+/// the root of their number, the time grows with it.
 fn thinned(tracks: Tracks, max_observations: Option<usize>) -> Tracks {
     let Some(limit) = max_observations.filter(|&limit| tracks.observations.len() > limit) else { return tracks };
     let keep = limit as f64 / tracks.observations.len() as f64;

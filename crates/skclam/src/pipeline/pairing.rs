@@ -146,7 +146,8 @@ fn predicted_overlap(a: &PredictedView, b: &PredictedView, camera: &PinholeCamer
     shared as f64 / a.points_in_color.len() as f64
 }
 
-/// Where image B should show a point of image A, if that lies inside it and looks much the same from there; and the point in B's camera.
+/// Where image B should show a point of image A, if that lies inside it and looks much the same from there; and the
+/// point in B's camera.
 pub(crate) fn shown_to(
     point_in_a: &Point3,
     b_from_a: &Isometry3,

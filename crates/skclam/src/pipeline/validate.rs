@@ -33,7 +33,8 @@ pub struct Validation {
     pub matches: usize,
     /// Observations of points followed over several images.
     pub observations: usize,
-    /// By which metric rigs are judged: "reprojection, RMS" (scene and board where other arm positions saw them under the same rig) or "epipolar distance, median".
+    /// By which metric rigs are judged: "reprojection, RMS" (scene and board where other arm positions saw them under
+    /// the same rig) or "epipolar distance, median".
     pub metric: String,
     /// That metric, px: the nominal rig of the data set and (as `calibrated`) the rig under test.
     pub metric_px: Rigs<f64>,
@@ -87,8 +88,8 @@ impl ValidationCase {
     }
 }
 
-/// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to the data set first, and
-/// nothing else: `mount` after the camera was taken off.
+/// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to
+/// the data set first, and nothing else: `mount` after the camera was taken off.
 pub fn validate(
     dataset: &Dataset,
     rig: &Rig,
@@ -150,7 +151,8 @@ pub fn validate(
     })
 }
 
-/// Expected sigma of an observation, px: only for the gate beyond which one that fits neither rig counts as a wrong match.
+/// Expected sigma of an observation, px: only for the gate beyond which one that fits neither rig counts as a wrong
+/// match.
 const SIGMA_PX: f64 = 1.0;
 
 fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> Result<Model, RunError> {

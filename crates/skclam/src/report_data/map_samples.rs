@@ -1,5 +1,5 @@
-//! Points of the maps for the report's 3D view: the same pixels at the nominal and at the calibrated poses, with their colour,
-//! their image, and how far the other images' surfaces are from them.
+//! Points of the maps for the report's 3D view: the same pixels at the nominal and at the calibrated poses, with their
+//! colour, their image, and how far the other images' surfaces are from them.
 
 use super::Packed;
 use crate::dataset::Dataset;
@@ -23,8 +23,8 @@ pub struct MapSamples {
     pub colors: Packed,
     /// Position of the posture whose image gave the point, 16 bits.
     pub postures: Packed,
-    /// Median distance to the surfaces of other images at the nominal poses, mm, 32-bit floating point; NaN where no other
-    /// image shows the point.
+    /// Median distance to the surfaces of other images at the nominal poses, mm, 32-bit floating point; NaN where no
+    /// other image shows the point.
     pub point_to_plane_nominal_mm: Packed,
     /// The same at the calibrated poses.
     pub point_to_plane_calibrated_mm: Packed,
@@ -33,7 +33,8 @@ pub struct MapSamples {
 /// Grey for pixels that the colour camera does not see.
 const UNOBSERVED: [u8; 3] = [128, 128, 128];
 
-/// Colours the points and packs them. `found_mask` is 0 where the colour camera sees what moves with it: such points are left out.
+/// Colours the points and packs them. `found_mask` is 0 where the colour camera sees what moves with it: such points
+/// are left out.
 pub fn sample_map(
     dataset: &Dataset,
     rig: &Rig,

@@ -1,9 +1,10 @@
-//! `report_data.json`: what the report shows beside the metrics of `summary.json`, so that it can be built again from the result
-//! folder alone.
+//! `report_data.json`: what the report shows beside the metrics of `summary.json`, so that it can be built again from
+//! the result folder alone.
 //!
-//! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of numbers by the
-//! thousand are base64 of little-endian arrays ([`Packed`]); images are base64 of JPEG files. Positions in the recording ("posture
-//! 3") count from 0; `index` is the recording's own name of a posture. A reader refuses a `format` that it does not know.
+//! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of
+//! numbers by the thousand are base64 of little-endian arrays ([`Packed`]); images are base64 of JPEG files. Positions
+//! in the recording ("posture 3") count from 0; `index` is the recording's own name of a posture. A reader refuses a
+//! `format` that it does not know.
 
 mod map_samples;
 mod packed;

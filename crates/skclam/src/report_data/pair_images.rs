@@ -1,4 +1,5 @@
-//! The worst, the median and the best pair as small images, with some matches and their epipolar lines before and after.
+//! The worst, the median and the best pair as small images, with some matches and their epipolar lines before and
+//! after.
 
 use super::residuals::PairResidualVectors;
 use super::{EmbeddedImage, Packed, PairResiduals, ResidualData, rounded};
@@ -21,8 +22,8 @@ const MIN_MATCHES: usize = 8;
 /// Straight pieces of a line; distorted lines are bent.
 const PIECES: usize = 24;
 
-/// A pair with matches drawn on it. Pixels of the small images: (0, 0) is the outer corner of the top-left pixel, so that an image
-/// spans its width and height.
+/// A pair with matches drawn on it. Pixels of the small images: (0, 0) is the outer corner of the top-left pixel, so
+/// that an image spans its width and height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairImages {
     /// "worst", "median" or "best", by the median distance after the calibration.
@@ -42,7 +43,7 @@ pub struct PairImages {
 pub struct DrawnMatch {
     /// Where the two images show it.
     pub points: [[f64; 2]; 2],
-    /// In each image, the line that the nominal rig gives its neighbor.
+    /// In each image, the line that the nominal rig gives its match.
     pub lines_before: [Vec<[f64; 2]>; 2],
     /// The same by the calibrated rig.
     pub lines_after: [Vec<[f64; 2]>; 2],

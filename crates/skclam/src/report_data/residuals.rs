@@ -1,6 +1,7 @@
-//! How far matches are from their epipolar lines, summed up so as to show systematic patterns: as a histogram, by posture and by pair; and by place
-//! in the image, where observations are beside the projections of their points. Where no pair was used (a board alone), histogram and postures are of
-//! the observations too. Every metric is over all of them, none is drawn at random.
+//! How far matches are from their epipolar lines, summed up so as to show systematic patterns: as a histogram, by
+//! posture and by pair; and by place in the image, where observations are beside the projections of their points. Where
+//! no pair was used (a board alone), histogram and postures are of the observations too. Every metric is over all of
+//! them, none is drawn at random.
 
 use super::rounded;
 use crate::dataset::Dataset;
@@ -21,8 +22,9 @@ const CELLS_ACROSS: u32 = 16;
 /// A cell with fewer residuals says nothing.
 const MIN_RESIDUALS: usize = 8;
 
-/// Residuals before and after. An endpoint of a match is one of its two pixels; each has a distance to its line. Where there are no matches, an endpoint is a
-/// observation of a board's corner or of a scene point, and its distance is to where that should appear.
+/// Residuals before and after. An endpoint of a match is one of its two pixels; each has a distance to its line. Where
+/// there are no matches, an endpoint is a observation of a board's corner or of a scene point, and its distance is to
+/// where that should appear.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualData {
     /// What the distances of `histogram` and `postures` are.

@@ -17,8 +17,8 @@ use skclam_geometry::{Isometry3, Pixel, Point3};
 pub struct DepthShift {
     /// The depth image of a posture is so many rows further down (above, where negative).
     pub by: i64,
-    /// How far depths scatter about what the images say, with the rows unchanged: median of the relative error about its own
-    /// median, percent.
+    /// How far depths scatter about what the images say, with the rows unchanged: median of the relative error about
+    /// its own median, percent.
     pub before_percent: f64,
     /// The same with the depth images at their rows, percent.
     pub after_percent: f64,

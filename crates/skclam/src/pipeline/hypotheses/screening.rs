@@ -1,4 +1,4 @@
-//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be held against the
+//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be compared with the
 //! images.
 //!
 //! The camera turned by `A`, the flange by `B`, and `A = X^-1 B X` with the rotation `X` of the mount. Rotation vectors
