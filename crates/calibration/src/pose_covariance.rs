@@ -151,7 +151,7 @@ impl AlignedVariance {
 
     /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions
     /// (Satterthwaite 1946).
-    pub(crate) fn dof(&self, covariance: &DMatrix<f64>) -> f64 {
+    pub(crate) fn degrees_of_freedom(&self, covariance: &DMatrix<f64>) -> f64 {
         let product = self.cameras.jacobian.tr_mul(&self.cameras.jacobian) * covariance;
         product.trace().powi(2) / (&product * &product).trace().max(f64::MIN_POSITIVE)
     }

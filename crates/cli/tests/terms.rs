@@ -48,7 +48,11 @@ const RULES: &[Rule] = &[
         "gradient, right-hand side, normal matrix, minimisation",
     ),
     rule(&["way px", "ways px"], "residual_px"),
-    Rule { found: &["freedom"], write: "dof", allowed: &["degrees of freedom", "degree of freedom"] },
+    Rule {
+        found: &["freedom"],
+        write: "dof",
+        allowed: &["degrees of freedom", "degree of freedom", "degrees_of_freedom"],
+    },
     rule(&["vain", "patience", "early looks"], "iteration budget"),
     rule(&["suspect", "suspects", "bumped"], "outlier posture, displaced camera"),
     rule(&["gather", "gathers", "gathered"], "front end, its result"),

@@ -10,6 +10,14 @@ use skclam_calibration::{
 };
 use skclam_features::MatchCounts;
 
+/// Version of `summary.json`. It rises when a key changes its name or its meaning, or is taken away; a new key leaves
+/// it as it is. `schema/summary.schema.json` of this crate describes it.
+pub const SCHEMA_VERSION: u32 = 2;
+
+fn unversioned() -> u32 {
+    1
+}
+
 /// What a run found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
@@ -17,6 +25,9 @@ pub struct Summary {
     pub program: String,
     /// Version of the program.
     pub version: String,
+    /// Version of the keys and their meaning: [`SCHEMA_VERSION`]. Summaries without it are of version 1.
+    #[serde(default = "unversioned")]
+    pub schema_version: u32,
     /// The verdict in one sentence.
     pub verdict: String,
     /// The worst that any of the checks calls for.

@@ -69,7 +69,8 @@ impl CollisionModel {
     /// `base_link` is the link whose frame is the base; `None`: the root. Mimic, planar and floating joints are at 0.
     ///
     /// # Errors
-    /// [`KinematicsError::Urdf`] with the line, as for [`crate::chain_from_urdf`]; several roots; shapes without their sizes.
+    /// [`KinematicsError::Urdf`] with the line, as for [`crate::chain_from_urdf`]; several roots; shapes without their
+    /// sizes.
     pub fn from_urdf(text: &str, base_link: Option<&str>) -> Result<Self, KinematicsError> {
         let document = Document::parse(text)?;
         let roots = document.roots();

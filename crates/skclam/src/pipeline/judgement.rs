@@ -134,8 +134,9 @@ pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warning
     let others = summary.causes.iter().filter(|cause| in_case != Some(cause));
     checks.extend(others.map(|cause| Check::Cause { cause: cause.clone() }));
     checks.extend(held_out(evidence, summary));
-    if let Some((nominal_mm, calibrated_mm)) =
-        summary.map.and_then(|map| Some((map.agreement_nominal?.median_mm, map.agreement_calibrated?.median_mm)))
+    if let Some((nominal_mm, calibrated_mm)) = summary
+        .map
+        .and_then(|map| Some((map.depth_consistency_nominal?.median_mm, map.depth_consistency_calibrated?.median_mm)))
     {
         checks.push(Check::DepthConsistency { nominal_mm, calibrated_mm });
     }

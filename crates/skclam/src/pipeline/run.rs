@@ -6,13 +6,13 @@ use super::sentences::verdict_sentence;
 use super::verdict::{Evidence, VerdictCase};
 use super::{
     Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmas, RunError, Scale, build_maps, calibrate, causes,
-    hold_out, judge, localize, map_coverage, pose_sigmas, surface_agreement, worst,
+    hold_out, judge, localize, map_coverage, measure_depth_consistency, pose_sigmas, worst,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
 use crate::progress::{Progress, Stage};
 use crate::report_data::{ReportData, sample_map};
-use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
+use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, SCHEMA_VERSION, Summary, total_counts};
 use crate::trajectory::{StampedPose, trajectory_text};
 use image::GrayImage;
 use skclam_calibration::{Calibration, Warning};
@@ -74,16 +74,21 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
     )?;
     outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
     if let Some(maps) = &outcome.maps {
-        let [calibrated, nominal] = surface_agreement(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
+        let [calibrated, nominal] =
+            measure_depth_consistency(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
         progress.begin(Stage::Report, 1);
         let samples = [&calibrated.samples[..], &nominal.samples[..]];
         outcome.report.map = sample_map(dataset, &outcome.rig, outcome.mask.as_ref(), samples)?;
         progress.step();
-        let [agreement_calibrated, agreement_nominal] = [calibrated.surfaces, nominal.surfaces];
+        let [depth_consistency_calibrated, depth_consistency_nominal] = [calibrated.surfaces, nominal.surfaces];
         let mask = outcome.mask.as_ref();
         let coverage = map_coverage(dataset, &calibrated_poses, &outcome.rig, mask, config.cloud.filter)?;
-        outcome.summary.map =
-            Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated, coverage });
+        outcome.summary.map = Some(MapSummary {
+            points: maps.calibrated.len(),
+            depth_consistency_nominal,
+            depth_consistency_calibrated,
+            coverage,
+        });
     }
     judging.conclude(&mut outcome);
     Ok(outcome)
@@ -111,7 +116,8 @@ impl Judging {
 
 /// The estimate, judged on held-out postures.
 fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, Judging), RunError> {
-    let FrontEnd { images, pairs, data, tracks, mut board, mut told, ego_mask } = front_end(dataset, config, progress)?;
+    let FrontEnd { images, pairs, data, tracks, mut board, warnings: mut texts, ego_mask } =
+        front_end(dataset, config, progress)?;
     let mut calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
@@ -122,7 +128,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         false => hold_out(dataset, &data, &calibration, config, progress)?,
     };
     if let Err(reason) = &held_out {
-        told.push(format!("the calibration was not judged on held-out postures: {reason}"));
+        texts.push(format!("the calibration was not judged on held-out postures: {reason}"));
     }
     let held_out = held_out.ok();
     if let Some(jackknife) = held_out.as_ref().and_then(|held_out| held_out.jackknife) {
@@ -148,6 +154,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     let summary = Summary {
         program: "skclam".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        schema_version: SCHEMA_VERSION,
         verdict: verdict_sentence(&case),
         status: case.status(),
         case: case.clone(),
@@ -184,11 +191,11 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         workspace_poses,
         map: None,
         warnings: {
-            told.extend(warnings(&calibration, pairs.len()));
+            texts.extend(warnings(&calibration, pairs.len()));
             if !calibration.warnings.iter().any(|warning| matches!(warning, Warning::NoBaseline { .. })) {
-                told.extend(identical_postures(dataset, &images, &pairs));
+                texts.extend(identical_postures(dataset, &images, &pairs));
             }
-            told
+            texts
         },
         configuration: config.clone(),
         stages: Vec::new(),
