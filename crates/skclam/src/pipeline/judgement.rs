@@ -95,9 +95,10 @@ impl From<Check> for CheckResult {
 const WORSE_CONSISTENCY: f64 = 1.05;
 /// More outliers than this are many.
 const MANY_OUTLIERS: f64 = 0.2;
-/// Held-out residuals beyond so many times the fitted ones, and beyond this many px, show errors that the parameters do not cover.
+/// Held-out residuals beyond so many times the fitted ones, and beyond this many px, show errors that the parameters do
+/// not cover.
 const SYSTEMATIC: (f64, f64) = (10.0, 2.0);
-/// A sigma that had to be widened by more than this factor tells of errors that the model of the noise does not have.
+/// A sigma that had to be widened by more than this factor points to errors that the model of the noise does not have.
 const MUCH_WIDER: f64 = 2.0;
 
 impl Check {
@@ -212,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_worst_check_decides_and_grades_are_ordered() {
+    fn the_worst_check_decides_and_statuses_are_ordered() {
         use Status::{Bad, Caution, Good};
         assert!(Good < Caution && Caution < Bad);
         let better = Check::HeldOutBetter { nominal_px: 2.0, calibrated_px: 1.0 };

@@ -41,7 +41,8 @@ pub struct Outcome {
     pub rig: Rig,
     /// Where the camera was, by the calibrated rig.
     pub trajectory: Vec<StampedPose>,
-    /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of its own.
+    /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of
+    /// its own.
     pub mask: Option<GrayImage>,
     /// What is known of flange and camera, at the recorded postures and over the workspace.
     pub pose_sigmas: Vec<PoseSigma>,
@@ -57,7 +58,8 @@ pub struct Outcome {
 pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
     let (mut outcome, judging) = estimate(dataset, config, progress)?;
     let nominal = localize(dataset, &dataset.rig)?;
-    // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the poses alone differ.
+    // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the
+    // poses alone differ.
     let corrected = Dataset { rig: Rig { depth: outcome.rig.depth, ..dataset.rig.clone() }, ..dataset.clone() };
     let dataset = &corrected;
     let poses = |trajectory: &[StampedPose]| {
@@ -207,23 +209,23 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     ))
 }
 
-/// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
-/// counts of each stand in the summary.
+/// Warnings in words. Where many pairs share little, one sentence says it for all of them: pairs are chosen generously,
+/// and the counts of each are in the summary.
 fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
-    const TOLD_ONE_BY_ONE: usize = 3;
+    const LISTED_ONE_BY_ONE: usize = 3;
     let few = calibration.warnings.iter().filter(|warning| matches!(warning, Warning::FewMatches { .. })).count();
-    let one_by_one = few <= TOLD_ONE_BY_ONE;
-    let told =
+    let one_by_one = few <= LISTED_ONE_BY_ONE;
+    let warnings =
         calibration.warnings.iter().filter(|warning| one_by_one || !matches!(warning, Warning::FewMatches { .. }));
-    let mut texts: Vec<String> = told.map(Warning::to_string).collect();
+    let mut texts: Vec<String> = warnings.map(Warning::to_string).collect();
     if !one_by_one {
         texts.push(format!("{few} of {pairs} pairs share hardly any matches; see \"pairs\" in summary.json"));
     }
     texts
 }
 
-/// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm (the
-/// paper's 73rd posture equals its first).
+/// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm
+/// (the paper's 73rd posture equals its first).
 fn identical_postures(dataset: &Dataset, images: &[ImageFeatures], pairs: &[MatchedPair]) -> Vec<String> {
     const ONE_PLACE_M: f64 = 1e-4;
     let center = |position: usize| images[position].view.base_from_color.translation.vector;

@@ -43,7 +43,7 @@ pub struct RulerSummary {
     pub scale_error_percent: f64,
     /// Sigma of that, %.
     pub sigma_percent: f64,
-    /// Whether the estimate takes it at its word, since nothing contradicts that.
+    /// Whether the estimate takes it as exact, since nothing contradicts that.
     pub held: bool,
 }
 
