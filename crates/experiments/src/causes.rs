@@ -85,10 +85,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
         ],
     ),
     (Cause::ImageShift, &["shifted by", "rows of postures.csv", "row of postures.csv", "one posture late", "one row"]),
-    (
-        Cause::MountFarOff,
-        &["mount was found", "mount is far off", "mount far off", "find-mount", "own was", "nominal mount was"],
-    ),
+    (Cause::MountFarOff, &["mount was found", "mount is far off", "mount far off", "find-mount", "nominal mount was"]),
     (
         Cause::FewPostures,
         &["few postures", "more postures", "postures are too few", "postures are few", "too few postures"],
