@@ -29,7 +29,7 @@ book:
 reproduce *ARGS:
     cargo run --release --bin skclam -- reproduce --out out/reproduce {{ ARGS }}
 
-# AKAZE beside OpenCV's on the same pictures; wants Python and ../shared/data. `just bench-features speed` for a part.
+# AKAZE beside OpenCV's on the same images; wants Python and ../shared/data. `just bench-features speed` for a part.
 bench-features *ARGS:
     python3 benchmarks/features/akaze_vs_opencv.py {{ ARGS }}
 

@@ -280,7 +280,7 @@ def large(path, gigabytes):
 
 
 def viewer_bag(path, compression, image_type_has_units):
-    """Two sensors of one device: depth 32 x 24 in tenths of a millimetre, colour 64 x 48, 30 Hz, three stands.
+    """Two sensors of one device: depth 32 x 24 in tenths of a millimetre, colour 64 x 48, 30 Hz, three stationary intervals.
 
     Static information is logged at time 1 ns, images under the time since the start of the recording; the headers of images
     hold the camera's clock, those of camera_info nothing.

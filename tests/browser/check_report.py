@@ -31,7 +31,7 @@ def expect(condition, complaint):
 
 
 def differing(one, other):
-    """Whether two pictures (PNG bytes) differ; compared by the browser-independent bytes."""
+    """Whether two images (PNG bytes) differ; compared by the browser-independent bytes."""
     return one != other
 
 
@@ -97,32 +97,32 @@ def check_switches(page):
     page.wait_for_timeout(400)
     colours = scene_pixels(page)
     expect(colours > 30, f"the 3D view is uniform: {colours} colours")
-    pictures = [scene.screenshot()]
+    images = [scene.screenshot()]
     # By keyboard alone: from the checked button of the group to its neighbour.
     page.locator('input[name="poses"]:checked').focus()
     page.keyboard.press("ArrowLeft")
     expect(page.locator('input[name="poses"]:checked').input_value() == "nominal", "the arrow key does not switch to the nominal poses")
     page.wait_for_timeout(900)
-    pictures.append(scene.screenshot())
+    images.append(scene.screenshot())
     if page.locator('input[name="color"]').count():
-        for value in ("image", "gap"):
+        for value in ("image", "distance"):
             page.locator('input[name="color"]:checked').focus()
             page.keyboard.press("ArrowRight")
             expect(page.locator('input[name="color"]:checked').input_value() == value, f"the arrow key does not switch to {value}")
             page.wait_for_timeout(900)
-            pictures.append(scene.screenshot())
+            images.append(scene.screenshot())
     scene.focus()
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowUp")
     page.keyboard.press("+")
     page.wait_for_timeout(900)
-    pictures.append(scene.screenshot())
-    for at in range(1, len(pictures)):
-        expect(differing(pictures[at - 1], pictures[at]), f"the 3D view did not change at step {at}")
+    images.append(scene.screenshot())
+    for at in range(1, len(images)):
+        expect(differing(images[at - 1], images[at]), f"the 3D view did not change at step {at}")
     said = page.locator("#scene-said").inner_text()
-    expect("nominal" in said, f"the state is not told: {said!r}")
+    expect("nominal" in said, f"the state is not shown: {said!r}")
     page.keyboard.press("0")
-    return colours, len(pictures)
+    return colours, len(images)
 
 
 def check_keyboard(page):
@@ -151,7 +151,7 @@ def check(browser, result, screenshots):
     expect(size <= SIZE_LIMIT_MB, f"{size:.1f} MB, above {SIZE_LIMIT_MB} MB")
     problems = []
 
-    def picture(page, name):
+    def screenshot(page, name):
         if screenshots:
             page.evaluate("window.scrollTo(0, 0)")
             page.wait_for_timeout(300)
@@ -166,7 +166,7 @@ def check(browser, result, screenshots):
     )
     expect(plots == drawn and plots > 0, f"{drawn} of {plots} charts are drawn")
     check_width(page)
-    picture(page, "1440-light")
+    screenshot(page, "1440-light")
     check_keyboard(page)
     colours, steps = check_switches(page)
     audit(page, "light")
@@ -182,19 +182,19 @@ def check(browser, result, screenshots):
         page = open_page(browser, path, problems, viewport={"width": width, "height": height}, color_scheme=scheme)
         check_width(page)
         audit(page, f"{width} px, {scheme}")
-        picture(page, f"{width}-{scheme}")
+        screenshot(page, f"{width}-{scheme}")
         page.context.close()
     expect(not problems, "; ".join(problems[:5]))
     print(
         f"  {result.name}: {size:.1f} MB, opened and drawn in {opened:.1f} s, {plots} charts, 3D view of {colours} colours, "
-        f"{steps} pictures of it all different, PDF of {len(pdf) / 1e6:.1f} MB, {pages} pages"
+        f"{steps} images of it all different, PDF of {len(pdf) / 1e6:.1f} MB, {pages} pages"
     )
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", nargs="+", type=pathlib.Path)
-    parser.add_argument("--screenshots", type=pathlib.Path, help="keep pictures and the PDF in this folder")
+    parser.add_argument("--screenshots", type=pathlib.Path, help="keep images and the PDF in this folder")
     arguments = parser.parse_args()
     if arguments.screenshots:
         arguments.screenshots.mkdir(parents=True, exist_ok=True)

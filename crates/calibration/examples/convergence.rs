@@ -1,7 +1,8 @@
 //! From how far off do the estimators find the right minimum?
 //!
-//! Random true arms, each wrong by 3 deg in every angle, 10 mm in every length, 15 deg and 50 mm in the mount; image-free recordings of 40 diverse postures
-//! with depth, half a pixel of noise and one pair match in five wrong. Then mounts of which nothing is known at all.
+//! Random true arms, each wrong by 3 deg in every angle, 10 mm in every length, 15 deg and 50 mm in the mount;
+//! image-free recordings of 40 diverse postures with depth, half a pixel of noise and one pair match in five wrong.
+//! Then mounts of which nothing is known at all.
 //!
 //! `cargo run --release -p skclam-calibration --example convergence [STARTS [far|mount]]` (100 by default, and both)
 
@@ -41,30 +42,37 @@ fn far_starts(starts: usize) {
         mount_length: 0.05 / 3f64.sqrt(),
         fixed_size: true,
     };
-    tell("3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment", starts, |seed| {
-        let mut rng = seeded(10_000 + seed);
-        let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
-        let postures = diverse_postures(&hp3j(), 40, &mut rng);
-        let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
-        let data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
-        // So far off are no tolerances of manufacture: the priors would only bias the answer.
-        let options =
-            BundleOptions { priors: PriorPolicy::Never, posture_errors: PostureErrorPolicy::Off, ..Default::default() };
-        let found = calibrate_bundle(&hp3j(), &data, &options).ok()?;
-        let out = found.warnings.iter().filter_map(|w| match w {
-            Warning::OutlierPosture { posture, excluded: true, .. } => Some(*posture),
-            _ => None,
-        });
-        let out: Vec<usize> = out.collect();
-        let kept: Vec<_> =
-            postures.iter().enumerate().filter(|(k, _)| !out.contains(k)).map(|(_, p)| p.clone()).collect();
-        Some(camera_error(&truth, &found.model.rig, &kept))
-    });
+    report(
+        "3 deg on all angles, 10 mm on all lengths, mount 15 deg and 50 mm off; bundle adjustment",
+        starts,
+        |seed| {
+            let mut rng = seeded(10_000 + seed);
+            let truth = perturbed(&hp3j(), &Free::Auto, far, &mut rng);
+            let postures = diverse_postures(&hp3j(), 40, &mut rng);
+            let sensing = Sensing { depth_relative: Some(0.0044), outliers: 0.106, ..half_pixel() };
+            let data = record(&truth, &postures, &box_points(4000, &mut rng), sensing, &mut rng);
+            // So far off are no tolerances of manufacture: the priors would only bias the answer.
+            let options = BundleOptions {
+                priors: PriorPolicy::Never,
+                posture_errors: PostureErrorPolicy::Off,
+                ..Default::default()
+            };
+            let found = calibrate_bundle(&hp3j(), &data, &options).ok()?;
+            let out = found.warnings.iter().filter_map(|w| match w {
+                Warning::OutlierPosture { posture, excluded: true, .. } => Some(*posture),
+                _ => None,
+            });
+            let out: Vec<usize> = out.collect();
+            let kept: Vec<_> =
+                postures.iter().enumerate().filter(|(k, _)| !out.contains(k)).map(|(_, p)| p.clone()).collect();
+            Some(camera_error(&truth, &found.model.rig, &kept))
+        },
+    );
 }
 
 /// Nothing known of the mount.
 fn unknown_mounts(starts: usize) {
-    tell("no idea of the mount, an arm of 0.3 deg and 0.5 mm: find_mount, then bundle adjustment", starts, |seed| {
+    report("no idea of the mount, an arm of 0.3 deg and 0.5 mm: find_mount, then bundle adjustment", starts, |seed| {
         let mut rng = seeded(20_000 + seed);
         let mut truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
         let turn =
@@ -91,7 +99,7 @@ fn rng_fraction(rng: &mut rand_chacha::ChaCha8Rng) -> f64 {
     rng.random::<f64>()
 }
 
-fn tell(name: &str, starts: usize, run: impl Fn(u64) -> Option<f64> + Sync) {
+fn report(name: &str, starts: usize, run: impl Fn(u64) -> Option<f64> + Sync) {
     let mut errors: Vec<(u64, Option<f64>)> =
         (0..starts as u64).into_par_iter().map(|seed| (seed, run(seed))).collect();
     let found = errors.iter().filter(|(_, error)| error.is_some_and(|error| error < FOUND)).count();

@@ -1,10 +1,12 @@
 //! Is the estimator as good as it can be, and does it know how good it is?
 //!
-//! RMSE of every parameter over many noisy recordings against the Cramer-Rao bound (at most 1.2 times), and the mean normalised estimation error squared
-//! (NEES) against its 95 % band. The bound is computed here by differences, apart from the library's own Jacobians.
+//! RMSE of every parameter over many noisy recordings against the Cramer-Rao bound (at most 1.2 times), and the mean
+//! normalised estimation error squared (NEES) against its 95 % band. The bound is computed here by differences, apart
+//! from the library's own Jacobians.
 //!
-//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS [PART...]]`: 200 runs by default, and of the parts `pairwise`, `tracks`, `full`,
-//! `encoder`, `known` all but the last. Runs are spread over the cores; each has a seed of its own, so that the tables do not depend on their number.
+//! `cargo run --release -p skclam-calibration --example monte_carlo [RUNS [PART...]]`: 200 runs by default, and of the
+//! parts `pairwise`, `tracks`, `full`, `encoder`, `known` all but the last. Runs are spread over the cores; each has a
+//! seed of its own, so that the tables do not depend on their number.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;
@@ -90,7 +92,7 @@ fn main() {
             report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::Estimated), runs);
         }
         if part("known") {
-            let name = "the same with the sigma of the joint errors told";
+            let name = "the same with the sigma of the joint errors given";
             report(name, &noisy, &Estimator::Bundle(PostureErrorPolicy::SigmaDeg(ENCODER_DEG)), runs);
         }
     }
@@ -106,7 +108,7 @@ fn tracked(
     sensing: Sensing,
 ) -> Scene {
     let (mut kept, mut tracks) = (Vec::new(), Vec::new());
-    // One point at a time, so that tracks and points stay together; the limit a picture is met by the number of points.
+    // One point at a time, so that tracks and points stay together; the limit an image is met by the number of points.
     for point in points {
         let one = synthetic::record(&truth, &postures, &[*point], silent, &mut seeded(0));
         if let Some(track) = one.tracks.into_iter().next() {
@@ -189,7 +191,7 @@ fn one_run(scene: &Scene, estimator: &Estimator, run: usize, parameters: &[Param
     let nominal = hp3j();
     let mut data = scene.exact.clone();
     if scene.sensing.encoder > 0.0 {
-        // The arm stands where the postures say; the encoders tell something else.
+        // The arm is where the postures say; the encoders report something else.
         for posture in &mut data.postures {
             if let PostureState::Joints(values) = &mut posture.state {
                 values.iter_mut().for_each(|value| *value += scene.sensing.encoder * normal(&mut rng));
@@ -309,7 +311,7 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
                 }
             }
         }
-        let inverse = own.try_inverse().expect("a point that two pictures fix");
+        let inverse = own.try_inverse().expect("a point that two images fix");
         for (i, a) in &coupling {
             let y = inverse * a;
             for (j, b) in &coupling {
@@ -322,6 +324,6 @@ fn cramer_rao(scene: &Scene, parameters: &[Parameter]) -> Vec<f64> {
     }
     let scale = DVector::from_fn(total, |k, _| 1.0 / information[(k, k)].sqrt());
     let unit = DMatrix::from_fn(total, total, |i, j| information[(i, j)] * scale[i] * scale[j]);
-    let inverse = unit.cholesky().expect("what the data can tell").inverse();
+    let inverse = unit.cholesky().expect("a normal matrix of full rank").inverse();
     (0..count).map(|k| inverse[(k, k)].sqrt() * scale[k]).collect()
 }

@@ -27,14 +27,15 @@ fn main() {
     }
 }
 
-/// User and system time of all threads so far; 0 where `/proc` does not tell (ticks of 10 ms).
+/// User and system time of all threads so far; 0 where `/proc` is missing (ticks of 10 ms).
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
     fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// 1e5 Sampson residuals, the paper's ten angles. The same problem is written for the comparison with SciPy and Ceres when `SKCLAM_DUMP` names a file.
+/// 1e5 Sampson residuals, the paper's ten angles. The same problem is written for the comparison with SciPy and Ceres
+/// when `SKCLAM_DUMP` names a file.
 fn pairwise() {
     let mut rng = seeded(1);
     let errors =
@@ -49,15 +50,15 @@ fn pairwise() {
     for loss in [Loss::Squared, Loss::Tukey(7.0)] {
         let options = PairwiseOptions { free: Free::Angles, loss, ..Default::default() };
         let mut best = f64::INFINITY;
-        let mut told = String::new();
+        let mut outcome = String::new();
         for _ in 0..5 {
             let start = Instant::now();
             let result = calibrate_pairwise(&hp3j(), &data, &options).expect("a calibration");
             best = best.min(start.elapsed().as_secs_f64());
-            told = result.termination.to_string();
+            outcome = result.termination.to_string();
         }
         println!(
-            "pairwise, {} residuals, 10 parameters, {loss:?}, everything included: {:.1} ms; {told}",
+            "pairwise, {} residuals, 10 parameters, {loss:?}, everything included: {:.1} ms; {outcome}",
             data.match_count(),
             best * 1e3
         );
@@ -70,29 +71,29 @@ fn pairwise() {
         ..Default::default()
     };
     let (mut best, mut best_cpu) = (f64::INFINITY, f64::INFINITY);
-    let mut told = String::new();
+    let mut outcome = String::new();
     for _ in 0..20 {
         let (start, cpu) = (Instant::now(), precise_cpu_seconds());
         let result = calibrate_pairwise(&hp3j(), &data, &refine).expect("a calibration");
         best_cpu = best_cpu.min(precise_cpu_seconds() - cpu);
         best = best.min(start.elapsed().as_secs_f64());
-        told = format!("{}; theta_offset_6 {:.9} rad", result.termination, result.parameters[9].value);
+        outcome = format!("{}; theta_offset_6 {:.9} rad", result.termination, result.parameters[9].value);
     }
     // As `compare_solvers.py` reads it.
     println!(
-        "cpu_ms={:.3} wall_ms={:.3} solver=ours, one plain least-squares solve from the nominal arm, covariance and statistics included (threads {}): {told}",
+        "cpu_ms={:.3} wall_ms={:.3} solver=ours, one plain least-squares solve from the nominal arm, covariance and statistics included (threads {}): {outcome}",
         best_cpu * 1e3,
         best * 1e3,
         rayon::current_num_threads()
     );
 }
 
-/// Time that all threads have run so far, in nanoseconds where the kernel tells it; else as [`cpu_seconds`].
+/// Time that all threads have run so far, in nanoseconds where the kernel counts it; else as [`cpu_seconds`].
 fn precise_cpu_seconds() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let run = tasks.filter_map(|task| {
-        let told = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        told.split_whitespace().next()?.parse::<f64>().ok()
+        let outcome = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+        outcome.split_whitespace().next()?.parse::<f64>().ok()
     });
     let nanoseconds: f64 = run.sum();
     if nanoseconds > 0.0 { nanoseconds * 1e-9 } else { cpu_seconds() }

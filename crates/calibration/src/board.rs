@@ -1,7 +1,9 @@
-//! Boards apart from the adjustment: where one lies, how well its corners fit, and how that is on postures that were held out.
+//! Boards apart from the adjustment: where one lies, how well its corners fit, and how that is on postures that were
+//! held out.
 //!
-//! A board that stood still is laid where some postures saw it, and its corners are compared in others: nothing is fitted to those,
-//! which makes the comparison stricter than that of [`crate::cross_validate`], where scene points and the board are fitted anew.
+//! A board that stood still is laid where some postures saw it, and its corners are compared in others: nothing is
+//! fitted to those, which makes the comparison stricter than that of [`crate::cross_validate`], where scene points and
+//! the board are fitted anew.
 
 use crate::robust::median;
 use crate::{
@@ -28,10 +30,11 @@ pub struct BoardFold {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BoardPlace {
-    /// Where the other postures saw it: nothing at all is fitted to the held-out ones, and an arm posture unlike the others shows how far the
-    /// calibration may be extrapolated.
+    /// Where the other postures saw it: nothing at all is fitted to the held-out ones, and an arm posture unlike the
+    /// others shows how far the calibration may be extrapolated.
     AsTrained,
-    /// Laid anew into the held-out postures, as if they were another day's recording: what they must agree on is the board among themselves.
+    /// Laid anew into the held-out postures, as if they were another day's recording: what they must agree on is the
+    /// board among themselves.
     Anew,
 }
 
@@ -40,8 +43,9 @@ pub(crate) fn point_in_board(board: &Board, column: u32, row: u32) -> Point3 {
     Point3::new(f64::from(column), f64::from(row), 0.0) * board.square_m
 }
 
-/// Where the camera stands to a board that one image shows: from the homography of the plane (Zhang, "A flexible new technique for camera calibration",
-/// 2000, appendix A), refined. `None` with fewer than four corners, or where they lie on a line.
+/// The pose of the camera relative to a board that one image shows: from the homography of the plane (Zhang, "A
+/// flexible new technique for camera calibration", 2000, appendix A), refined. `None` with fewer than four corners, or
+/// where they lie on a line.
 pub fn color_from_board(camera: &PinholeCamera, board: &Board, corners: &[(u32, u32, Pixel)]) -> Option<Isometry3> {
     // In squares about the middle, and in undistorted normalised coordinates, the equations are well scaled.
     let middle = (0.5 * f64::from(board.columns), 0.5 * f64::from(board.rows));
@@ -77,7 +81,8 @@ pub fn color_from_board(camera: &PinholeCamera, board: &Board, corners: &[(u32, 
     Some(lay(start, &seen.map(|(point, pixel)| (Isometry3::identity(), point, pixel)).collect::<Vec<_>>(), camera))
 }
 
-/// Robust Gauss-Newton on the pose of a board that cameras at known poses see; the pose is that in the cameras' common frame.
+/// Robust Gauss-Newton on the pose of a board that cameras at known poses see; the pose is that in the cameras' common
+/// frame.
 fn lay(start: Isometry3, seen: &[(Isometry3, Point3, Pixel)], camera: &PinholeCamera) -> Isometry3 {
     let mut pose = start;
     for _ in 0..30 {
@@ -85,14 +90,14 @@ fn lay(start: Isometry3, seen: &[(Isometry3, Point3, Pixel)], camera: &PinholeCa
             seen.iter().filter_map(|observation| Some(residual(&pose, observation, camera)?.0.norm())).collect();
         let loss = Loss::Cauchy(5.0);
         let sigma = (median(&mut distances) / 1.18).max(1e-9);
-        let (mut information, mut rhs) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
+        let (mut normal_matrix, mut rhs) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
         for observation in seen {
             let Some((difference, jacobian)) = residual(&pose, observation, camera) else { continue };
             let weight = loss.weight(difference.norm() / sigma);
-            information += jacobian.transpose() * jacobian * weight;
+            normal_matrix += jacobian.transpose() * jacobian * weight;
             rhs += jacobian.transpose() * difference * weight;
         }
-        let Some(step) = information.cholesky().map(|factor| factor.solve(&rhs)) else { break };
+        let Some(step) = normal_matrix.cholesky().map(|factor| factor.solve(&rhs)) else { break };
         pose *= Isometry3::new(step.fixed_rows::<3>(0).into_owned(), step.fixed_rows::<3>(3).into_owned());
         pose.rotation.renormalize();
         if step.norm() < 1e-12 {
@@ -122,7 +127,8 @@ fn board_of(rig: &Rig, posture: usize) -> Result<&Board, CalibrationError> {
     rig.board.as_ref().ok_or(CalibrationError::Board { posture, reason })
 }
 
-/// Camera poses, corners in the board's frame (with the size that the model gives its squares) and pixels. `errors`: of the single postures, or empty.
+/// Camera poses, corners in the board's frame (with the size that the model gives its squares) and pixels. `errors`: of
+/// the single postures, or empty.
 fn corner_observations(
     model: &Model,
     errors: &[f64],
@@ -142,7 +148,8 @@ fn corner_observations(
     Ok(observations)
 }
 
-/// Where a model's cameras saw the board in some postures, joints taken at their word; `None` where none of them saw it.
+/// Where a model's cameras saw the board in some postures, joint values taken as exact; `None` where none of them saw
+/// it.
 pub fn base_from_board(
     model: &Model,
     data: &Correspondences,
@@ -180,8 +187,8 @@ pub(crate) fn base_from_board_with(
     Ok(best.map(|(_, start)| lay(start, &observations, camera)))
 }
 
-/// Distances of the board's corners in the postures `seen_in` to where they should be if it lies where the postures `laid_by` saw it. Every
-/// corner counts, also one that fits badly; `None` where no corner is seen.
+/// Distances of the board's corners in the postures `seen_in` to where they should be if it lies where the postures
+/// `laid_by` saw it. Every corner counts, also one that fits badly; `None` where no corner is seen.
 pub fn board_residuals(
     model: &Model,
     data: &Correspondences,
@@ -208,8 +215,8 @@ pub fn board_residuals(
     }))
 }
 
-/// The nominal arm with the mount fitted to the board, every other number untouched: what can be had without calibrating the arm, and the fair thing to
-/// compare a calibration with.
+/// The nominal arm with the mount fitted to the board, every other number untouched: what can be had without
+/// calibrating the arm, and the fair thing to compare a calibration with.
 pub fn fit_mount_to_board(nominal: &Rig, data: &Correspondences) -> Result<Model, CalibrationError> {
     let boards: Vec<BoardObservation> =
         data.boards.iter().map(|seen| BoardObservation { sigma_px: 1.0, ..seen.clone() }).collect();
@@ -272,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn one_image_tells_where_the_board_is() {
+    fn one_image_gives_the_pose_of_the_board() {
         let (_, truth, pose, data) = recording(0.0, 31);
         let board = truth.board.as_ref().unwrap();
         for seen in &data.boards {

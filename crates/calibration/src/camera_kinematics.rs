@@ -1,8 +1,9 @@
 //! Camera poses of all postures under a model, and how each free parameter moves them.
 //!
-//! A camera pose changes by a twist in the camera's own frame: `T(x + s) = T(x) Exp(s (v, omega))` to first order. The arm's twists come
-//! from the chain's Jacobian in the base frame and are brought to the camera by one adjoint each. Corrections of joint values
-//! (gears, compliance, time) are linear in their parameters, so that their columns are multiples of the joints' own.
+//! A camera pose changes by a twist in the camera's own frame: `T(x + s) = T(x) Exp(s (v, omega))` to first order. The
+//! arm's twists come from the chain's Jacobian in the base frame and are brought to the camera by one adjoint each.
+//! Corrections of joint values (gears, compliance, time) are linear in their parameters, so that their columns are
+//! multiples of the joints' own.
 
 use crate::{CalibrationError, Model, Parameter};
 use nalgebra::{Vector3, Vector6};
@@ -27,7 +28,8 @@ pub(crate) struct CameraMotion {
     pub base_from_camera: Isometry3,
     /// One a parameter; zero for those that do not move the camera.
     pub by_parameter: Vec<Vector6<f64>>,
-    /// One an error component of the posture: its joints, or the six of a flange pose ([`CameraKinematics::error_components`]).
+    /// One an error component of the posture: its joints, or the six of a flange pose
+    /// ([`CameraKinematics::error_components`]).
     pub by_joint: Vec<Vector6<f64>>,
 }
 
@@ -55,8 +57,9 @@ impl CameraKinematics {
         !self.postures.is_empty() && self.postures.iter().all(|posture| matches!(posture, PostureMotion::Joints { .. }))
     }
 
-    /// How many numbers the error of one posture has: one a joint, or six where only flange poses are known (translation of the flange, then its rotation
-    /// vector, in its own axes); 0 where some postures give joints and others flange poses.
+    /// How many numbers the error of one posture has: one a joint, or six where only flange poses are known
+    /// (translation of the flange, then its rotation vector, in its own axes); 0 where some postures give joints and
+    /// others flange poses.
     pub(crate) fn error_components(&self) -> usize {
         let of = |posture: &PostureMotion| match posture {
             PostureMotion::Joints { readings, .. } => readings.len(),

@@ -12,8 +12,8 @@ pub struct PairMatch {
     pub in_a: Pixel,
     /// Where image B shows it, px.
     pub in_b: Pixel,
-    /// Standard deviation of each coordinate relative to the other matches, px; 1 where nothing is known (the common scale
-    /// is estimated).
+    /// Standard deviation of each coordinate relative to the other matches, px; 1 where nothing is known (the common
+    /// scale is estimated).
     pub sigma_px: f64,
     /// Distance of the descriptors: smaller is better.
     pub distance: u32,
@@ -41,7 +41,8 @@ pub struct TrackObservation {
     pub covariance: Matrix2<f64>,
     /// Measured z-depth of the point in the *colour* camera's frame, metres.
     pub depth_m: Option<f64>,
-    /// How the surface's z-depth changes with the normalised image coordinates x/z and y/z there, metres; zeros where that is not known.
+    /// How the surface's z-depth changes with the normalised image coordinates x/z and y/z there, metres; zeros where
+    /// that is not known.
     pub depth_slope: [f64; 2],
 }
 
@@ -59,8 +60,8 @@ pub struct BoardObservation {
     pub posture: usize,
     /// Column and row of the inner corner, counted from 0, and where the image shows it, px, distortion included.
     pub corners: Vec<(u32, u32, Pixel)>,
-    /// Standard deviation of each coordinate relative to the other observations, px; 1 where nothing is known or nothing else is there (the
-    /// common scale is estimated).
+    /// Standard deviation of each coordinate relative to the other observations, px; 1 where nothing is known or
+    /// nothing else is there (the common scale is estimated).
     pub sigma_px: f64,
 }
 

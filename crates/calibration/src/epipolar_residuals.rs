@@ -1,4 +1,4 @@
-//! Match by match, how far a pixel stands from the epipolar line of its neighbor, as a vector: what a plot of systematic
+//! Match by match, how far a pixel is from its epipolar line, as a vector: what a plot of systematic
 //! patterns needs and what the metrics of [`epipolar_statistics`](crate::epipolar_statistics) are made of.
 
 use crate::camera_kinematics::CameraKinematics;
@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use skclam_geometry::{EpipolarLine, FundamentalMatrix, Isometry3, Pixel};
 use skclam_rig::Posture;
 
-/// The residual of one match: from each pixel (free of distortion) the shortest way to its epipolar line, px.
+/// The residual of one match: from each pixel (free of distortion) the shortest vector to its epipolar line, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EpipolarResidual {
     /// In the pair's first image.
@@ -17,8 +17,8 @@ pub struct EpipolarResidual {
     pub in_b: Vector2<f64>,
 }
 
-/// Residuals of all matches under a model, pair by pair in the order of [`Correspondences::pairs`], match by match. A pair whose
-/// cameras stand at one place has no epipolar geometry and gives `None`.
+/// Residuals of all matches under a model, pair by pair in the order of [`Correspondences::pairs`], match by match. A
+/// pair whose cameras are at one place has no epipolar geometry and gives `None`.
 pub fn epipolar_residuals(
     model: &Model,
     data: &Correspondences,

@@ -1,4 +1,4 @@
-//! The paper's error function: Eq. (7) over the distances of Eq. (8), and honest metrics beside it.
+//! The paper's error function: Eq. (7) over the distances of Eq. (8), and plain metrics beside it.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Correspondences, Model, Warning};
@@ -67,8 +67,8 @@ impl UndistortedPairs {
         }
     }
 
-    /// `F(Phi)`, Eq. (7). The sums of Eq. (8) run over all pairs (the paper's bounds, N and N - 1, differ by one between the
-    /// equations; with 73 postures there are 72 pairs either way).
+    /// `F(Phi)`, Eq. (7). The sums of Eq. (8) run over all pairs (the paper's bounds, N and N - 1, differ by one
+    /// between the equations; with 73 postures there are 72 pairs either way).
     pub(crate) fn error_function(&self, rig: &Rig, poses: &[Isometry3]) -> f64 {
         let mut sum = 0.0; // E_e(Phi), Eq. (8)
         self.each_distance(rig, poses, |fundamental, in_a, in_b| {
@@ -100,7 +100,7 @@ impl UndistortedPairs {
     }
 }
 
-/// Eq. (7) and honest metrics for all pair matches under a model. Pairs without a baseline are left out.
+/// Eq. (7) and plain metrics for all pair matches under a model. Pairs without a baseline are left out.
 pub fn epipolar_statistics(model: &Model, data: &Correspondences) -> Result<EpipolarStatistics, CalibrationError> {
     data.check()?;
     let poses = CameraKinematics::new(&model.rig, &data.postures)?.poses(model, &[])?;

@@ -1,4 +1,4 @@
-//! Which parameters are free: the user's word, and the ordered list that it stands for.
+//! Which parameters are free: the user's choice, and the ordered list that it means.
 
 use crate::{CalibrationError, Intrinsic, MountComponent, Parameter};
 use serde::{Deserialize, Serialize};
@@ -37,8 +37,9 @@ pub struct ParseFreeError {
 }
 
 impl Free {
-    /// Reads `auto`, `angles`, `all`, or a comma-separated list of parameters and groups: `alpha_2,theta_offset_3,mount,fx`. A list that begins with `auto`
-    /// or `all` adds to it: `auto,gears`. Groups of the arm depend on the rig.
+    /// Reads `auto`, `angles`, `all`, or a comma-separated list of parameters and groups:
+    /// `alpha_2,theta_offset_3,mount,fx`. A list that begins with `auto` or `all` adds to it: `auto,gears`. Groups of
+    /// the arm depend on the rig.
     pub fn parse(text: &str, rig: &Rig) -> Result<Self, CalibrationError> {
         let (base, rest) = split_base(text);
         let Some(rest) = rest else { return Ok(base.unwrap_or_default()) };
@@ -81,7 +82,8 @@ impl Free {
         }
     }
 
-    /// Whether it frees what the data can identify, or everything, whatever besides: then priors and the gauge hold what cannot be seen.
+    /// Whether it frees what the data can identify, or everything, whatever besides: then priors and the gauge hold
+    /// what cannot be seen.
     pub(crate) fn is_open(&self) -> bool {
         match self {
             Free::Auto | Free::All | Free::With(..) => true,
@@ -89,11 +91,12 @@ impl Free {
         }
     }
 
-    /// The ordered list of parameters that the selection stands for before the data are heard: arm (base to flange), mount,
-    /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base end (what
-    /// moves the whole world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
-    /// data may speak of: without depth no depth parameter, without joint values nothing of the arm. What cameras and board are off is free
-    /// too, within the tolerances of such devices ([`default_sigma`](crate::default_sigma)): it would else be booked on the arm.
+    /// The ordered list of parameters that the selection means before the data are used: arm (base to flange), mount,
+    /// intrinsics, depth. `Auto` leaves out the gauge of relative camera motion: the base gauge (what moves the whole
+    /// world), and the last joint's `theta_offset` and `d`, which are the mount's. `Auto` and `All` take only what the
+    /// data may determine: without depth no depth parameter, without joint values nothing of the arm. What cameras and
+    /// board are off is free too, within the tolerances of such devices ([`default_sigma`](crate::default_sigma)): it
+    /// would else be booked on the arm.
     pub fn candidates(&self, rig: &Rig, has_joints: bool, has_depth: bool) -> Result<Vec<Parameter>, CalibrationError> {
         let mut list = match self {
             Free::Angles => angles(rig),
@@ -167,8 +170,9 @@ fn split_base(text: &str) -> (Option<Free>, Option<&str>) {
     }
 }
 
-/// The standard of length whose own error no residual shows: the board's squares, or the depth's scale where there is no board. `None` where lengths are held, where the
-/// controller's poses are the standard, or the free parameters are a list.
+/// The standard of length whose own error no residual shows: the board's squares, or the depth's scale where there is
+/// no board. `None` where lengths are held, where the controller's poses are the standard, or the free parameters are a
+/// list.
 pub(crate) fn ruler(rig: &Rig, free: &Free, parameters: &[Parameter], has_joints: bool) -> Option<Parameter> {
     let lengths = parameters.iter().any(|p| matches!(p, Parameter::Chain(_)) && p.unit() == crate::Unit::Metre);
     if !(free.is_open() && has_joints && lengths && rig.robot.is_some()) {
@@ -197,8 +201,8 @@ fn angles(rig: &Rig) -> Vec<Parameter> {
         .collect()
 }
 
-/// What relative camera motion cannot tell whatever the postures: motions before the first joint's axis or along it move the world
-/// as a whole, motions after the last joint's axis or along it are the mount's.
+/// What relative camera motion cannot determine whatever the postures: motions before the first joint's axis or along
+/// it move the world as a whole, motions after the last joint's axis or along it are the mount's.
 pub(crate) fn gauge(rig: &Rig) -> Vec<Parameter> {
     let Some(robot) = &rig.robot else { return Vec::new() };
     let Some(last) = robot.joint_count().checked_sub(1) else { return Vec::new() };

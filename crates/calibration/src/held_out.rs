@@ -1,13 +1,14 @@
 //! How a calibration fares on postures that it was not fitted to.
 //!
-//! A group of postures is held out, the rig is fitted to the others, and the observations of the group are compared with where the fitted rig expects them: the scene
-//! and the board lie where the *other* postures saw them, joints are taken at their word, nothing is fitted to the group. Groups are arm positions
-//! ([`held_out_groups`]): images that were taken from one position share its errors, and a scene that is laid anew takes up what they have in common, so
-//! that the error of the arm would vanish from the metric. Three rigs stand side by side: the nominal one, the nominal arm with its mount fitted, and the
-//! calibrated one.
+//! A group of postures is held out, the rig is fitted to the others, and the observations of the group are compared
+//! with where the fitted rig expects them: the scene and the board lie where the *other* postures saw them, joint
+//! values are taken as exact, nothing is fitted to the group. Groups are arm positions ([`held_out_groups`]): images
+//! that were taken from one position share its errors, and a scene that is laid anew takes up what they have in common,
+//! so that the error of the arm would vanish from the metric. Three rigs are compared: the nominal one, the nominal arm
+//! with its mount fitted, and the calibrated one.
 //!
-//! The fits are a delete-a-group jackknife too ([`jackknife`]; Efron and Stein, "The jackknife estimate of variance", 1981): their scatter tells the covariance without any
-//! model of the noise.
+//! The fits are a delete-a-group jackknife too ([`jackknife`]; Efron and Stein, "The jackknife estimate of variance",
+//! 1981): their scatter gives the covariance without any model of the noise.
 
 use crate::bundle::{OUTLIER_SIGMAS, Predicted, predicted_distances};
 use crate::pose_covariance::AlignedVariance;
@@ -50,7 +51,8 @@ impl<T> Rigs<T> {
 /// Residuals of the models on the same observations.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Comparison {
-    /// Reprojection over the observations that fit one of the models; no observations where there are neither tracks nor board corners.
+    /// Reprojection over the observations that fit one of the models; no observations where there are neither tracks
+    /// nor board corners.
     pub reprojection: Rigs<ReprojectionStatistics>,
     /// Epipolar distances of the pair matches with an end in the postures.
     pub epipolar: Rigs<EpipolarStatistics>,
@@ -65,7 +67,8 @@ pub struct Fold {
     pub comparison: Comparison,
     /// The free parameters of the fit less their nominal values, in their order and units.
     pub offsets: Vec<f64>,
-    /// Normal matrix of the data that the fit had by the free parameters, everything else eliminated; `None` but for the bundle adjustment.
+    /// Normal matrix of the data that the fit had by the free parameters, everything else eliminated; `None` but for
+    /// the bundle adjustment.
     #[serde(skip)]
     pub normal: Option<DMatrix<f64>>,
 }
@@ -78,7 +81,8 @@ impl Fold {
 }
 
 impl Comparison {
-    /// The metric by which rigs are judged, px: RMS of the reprojection, or the median epipolar distance where there are pairs alone.
+    /// The metric by which rigs are judged, px: RMS of the reprojection, or the median epipolar distance where there
+    /// are pairs alone.
     pub fn metric_px(&self) -> Rigs<f64> {
         if self.reprojection.calibrated.observations > 0 {
             self.reprojection.map(|statistics| statistics.rms_px)
@@ -108,11 +112,11 @@ pub fn neighbouring_folds(postures: usize, folds: usize) -> Vec<Vec<usize>> {
     (0..folds).map(|fold| (fold * postures / folds..(fold + 1) * postures / folds).collect()).collect()
 }
 
-/// Joints nearer than this to each other (rad, or m) stand at one place.
+/// Joints nearer than this to each other (rad, or m) count as one place.
 const ONE_PLACE: f64 = 9e-3;
 
-/// Which arm position each posture belongs to, counted in the order of the recording: postures whose joints of the base half (the first three of six) stand at one
-/// place share what is off there. Flange poses are positions of their own.
+/// Which arm position each posture belongs to, counted in the order of the recording: postures whose joints of the base
+/// half (the first three of six) are at one place share what is off there. Flange poses are positions of their own.
 pub fn arm_positions(postures: &[Posture]) -> Vec<usize> {
     let mut known: Vec<(usize, &[f64])> = Vec::new();
     let mut next = 0;
@@ -135,7 +139,8 @@ pub fn arm_positions(postures: &[Posture]) -> Vec<usize> {
     positions
 }
 
-/// Groups of postures to be held out in turn: whole arm positions, neighbours in the recording, in at most `folds` groups of about equal size.
+/// Groups of postures to be held out in turn: whole arm positions, neighbours in the recording, in at most `folds`
+/// groups of about equal size.
 pub fn held_out_groups(postures: &[Posture], folds: usize) -> Vec<Vec<usize>> {
     let position = arm_positions(postures);
     let count = position.iter().max().map_or(0, |last| last + 1);
@@ -165,8 +170,9 @@ pub struct RecordingComparison {
     pub postures: Vec<(usize, Rigs<f64>)>,
 }
 
-/// Compares two rigs on a recording that neither was fitted to. Each group of arm positions is compared with the scene and the board where the *others* saw them
-/// under the same rig, so that errors of the arm cannot vanish into the scene.
+/// Compares two rigs on a recording that neither was fitted to. Each group of arm positions is compared with the scene
+/// and the board where the *others* saw them under the same rig, so that errors of the arm cannot vanish into the
+/// scene.
 pub fn compare_on_recording(
     nominal: &Model,
     tested: &Model,
@@ -233,8 +239,8 @@ pub struct Trained<'a> {
     pub posture_errors: &'a [f64],
 }
 
-/// Compares rigs on held-out postures, with scene and board where each rig's other postures saw them. Observations count where one of the rigs fits them, beside a gate that follows
-/// their median.
+/// Compares rigs on held-out postures, with scene and board where each rig's other postures saw them. Observations
+/// count where one of the rigs fits them, beside a gate that follows their median.
 pub fn compare_trained(
     rigs: Rigs<Trained<'_>>,
     data: &Correspondences,
@@ -297,8 +303,8 @@ fn over(distances: Rigs<&[f64]>, kept: &[usize]) -> Rigs<ReprojectionStatistics>
     }
 }
 
-/// Fits to all postures but those of a group, group by group, and compares with the nominal rig on the group. `mount_only` fits the mount
-/// alone; `done` is called after each group.
+/// Fits to all postures but those of a group, group by group, and compares with the nominal rig on the group.
+/// `mount_only` fits the mount alone; `done` is called after each group.
 pub fn cross_validate(
     nominal: &Rig,
     data: &Correspondences,
@@ -346,20 +352,22 @@ pub fn cross_validate(
 /// What the scatter of the folds' fits says of the covariance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Jackknife {
-    /// Sigma of the camera's position over the recorded postures, the base frame fitted to them, as the scatter of the folds' fits has it, m.
+    /// Sigma of the camera's position over the recorded postures, the base frame fitted to them, as the scatter of the
+    /// folds' fits has it, m.
     pub scattered_m: f64,
     /// The same as the covariance claims it, without the standard of length, which all folds share.
     pub claimed_m: f64,
-    /// By how much the variance of the observations has to be larger, so that the covariance claims no less than the scatter; 1 where the scatter is not larger than the claim by
-    /// more than chance makes it once in a hundred times.
+    /// By how much the variance of the observations has to be larger, so that the covariance claims no less than the
+    /// scatter; 1 where the scatter is not larger than the claim by more than chance makes it once in a hundred times.
     pub variance_factor: f64,
 }
 
 /// No group is taken for a larger part of the information.
 const MAX_OF_THE_INFORMATION: f64 = 0.7;
 
-/// The delete-a-group jackknife over the folds' fits (groups that weigh more than their number: Busing, Meijer and van der Leeden, "Delete-m jackknife for unequal m", 1999), beside what the covariance of `whole` (the same estimate on all of the same data) claims. `None` without
-/// a covariance of the bundle adjustment, or with fewer than three folds.
+/// The delete-a-group jackknife over the folds' fits (groups that weigh more than their number: Busing, Meijer and van
+/// der Leeden, "Delete-m jackknife for unequal m", 1999), beside what the covariance of `whole` (the same estimate on
+/// all of the same data) claims. `None` without a covariance of the bundle adjustment, or with fewer than three folds.
 pub fn jackknife(
     nominal: &Rig,
     whole: &Calibration,
@@ -374,8 +382,9 @@ pub fn jackknife(
     let count = folds.len() as f64;
     let offsets = |fold: &Fold| DVector::from_column_slice(&fold.offsets);
     let mean = folds.iter().map(offsets).sum::<DVector<f64>>() / count;
-    // A group takes tracks with it that it shared with others: what it has of the information is more than its part of the postures. Sigmas that are estimated anew in
-    // each fold make single parts uncertain, so that their mean counts, which cannot be less than that of equal groups.
+    // A group takes tracks with it that it shared with others: what it has of the information is more than its part of
+    // the postures. Sigmas that are estimated anew in each fold make single parts uncertain, so that their mean counts,
+    // which cannot be less than that of equal groups.
     let information = |normal: &DMatrix<f64>| claimed.component_mul(normal).sum();
     let all = information(&inputs.likelihood.normal);
     let parts = folds.iter().filter_map(|fold| fold.normal.as_ref()).map(|normal| 1.0 - information(normal) / all);
@@ -417,17 +426,19 @@ pub fn jackknife(
     Ok(Some(Jackknife { scattered_m: scattered.sqrt(), claimed_m: claimed.sqrt(), variance_factor: factor }))
 }
 
-/// Ratio of an estimated variance of so many degrees of freedom to the true one that chance alone exceeds once in a hundred times (Wilson and Hilferty 1931).
+/// Ratio of an estimated variance of so many degrees of freedom to the true one that chance alone exceeds once in a
+/// hundred times (Wilson and Hilferty 1931).
 fn chance_ratio(dof: f64) -> f64 {
     const QUANTILE: f64 = 2.326;
     let spread = 2.0 / (9.0 * dof.max(1.0));
     (1.0 - spread + QUANTILE * spread.sqrt()).powi(3)
 }
 
-/// Observations that are worth less than by this factor of their variance say nothing.
+/// Observations that are worth less than by this factor of their variance carry no information.
 const MAX_FACTOR: f64 = 1e4;
 
-/// A metric over all folds: root of the mean square over their observations, or the mean of their medians where there are pairs alone.
+/// A metric over all folds: root of the mean square over their observations, or the mean of their medians where there
+/// are pairs alone.
 fn joined(folds: &[Fold], rig: impl Fn(Rigs<f64>) -> Option<f64>) -> Option<f64> {
     let weighted = folds.iter().map(|fold| {
         let inliers = fold.comparison.reprojection.as_ref().calibrated.inliers as f64;
@@ -505,16 +516,16 @@ mod tests {
         assert!(fold.metric_px().calibrated < 0.5 * fold.metric_px().nominal, "{fold:?}");
     }
 
-    fn standing(values: &[[f64; 6]]) -> Vec<Posture> {
+    fn postures_of(values: &[[f64; 6]]) -> Vec<Posture> {
         values.iter().enumerate().map(|(at, values)| joints(at, values)).collect()
     }
 
     #[test]
-    fn positions_are_told_by_the_joints_before_the_wrist() {
+    fn positions_are_given_by_the_joints_before_the_wrist() {
         let at = |arm: f64, wrist: f64| [arm, 0.2, -0.3, wrist, -wrist, 1.0];
         // The second position is visited twice; a tenth of a degree is the same place, a degree is not.
         let postures =
-            standing(&[at(0.0, 0.1), at(0.5, 0.2), at(0.002, 0.9), at(0.51, 0.1), at(0.5175, 0.3), at(0.5, 2.0)]);
+            postures_of(&[at(0.0, 0.1), at(0.5, 0.2), at(0.002, 0.9), at(0.51, 0.1), at(0.5175, 0.3), at(0.5, 2.0)]);
         assert_eq!(arm_positions(&postures), [0, 1, 0, 2, 2, 1]);
         let flange = PostureState::FlangePose(skclam_geometry::Isometry3::identity());
         let poses = [0, 1, 2].map(|at| Posture::new(at, flange.clone()));
@@ -524,12 +535,12 @@ mod tests {
     #[test]
     fn groups_hold_out_whole_positions() {
         let of = |position: usize, wrist: usize| [0.3 * position as f64, 0.0, 0.0, 0.1 * wrist as f64, 0.0, 0.0];
-        let postures = standing(&(0..24).map(|at| of(at / 4, at % 4)).collect::<Vec<_>>());
+        let postures = postures_of(&(0..24).map(|at| of(at / 4, at % 4)).collect::<Vec<_>>());
         assert_eq!(held_out_groups(&postures, 6), neighbouring_folds(24, 6));
         assert_eq!(held_out_groups(&postures, 3), neighbouring_folds(24, 3));
         assert_eq!(held_out_groups(&postures, 99).len(), 6, "no more groups than positions");
         // Positions taken in turn are held out together all the same, each posture once.
-        let mixed = standing(&(0..24).map(|at| of(at % 6, at / 6)).collect::<Vec<_>>());
+        let mixed = postures_of(&(0..24).map(|at| of(at % 6, at / 6)).collect::<Vec<_>>());
         let groups = held_out_groups(&mixed, 3);
         let positions = arm_positions(&mixed);
         let mut all = groups.concat();
@@ -540,12 +551,13 @@ mod tests {
             assert_eq!(holding.count(), 1, "{groups:?}");
         }
         // One position alone: neighbours.
-        let one = standing(&(0..8).map(|at| of(0, at)).collect::<Vec<_>>());
+        let one = postures_of(&(0..8).map(|at| of(0, at)).collect::<Vec<_>>());
         assert_eq!(held_out_groups(&one, 4), neighbouring_folds(8, 4));
     }
 
-    /// Mean over some recordings of the squared ratio of what the folds' fits scatter to what is claimed, and the mean factor of the variance. Six positions of four postures;
-    /// `shared`: sigma of what the three joints before the wrist are off at a whole position, `own`: of every joint in every posture, rad.
+    /// Mean over some recordings of the squared ratio of what the folds' fits scatter to what is claimed, and the mean
+    /// factor of the variance. Six positions of four postures; `shared`: sigma of what the three joints before the
+    /// wrist are off at a whole position, `own`: of every joint in every posture, rad.
     fn jackknifed(shared: f64, own: f64, seeds: std::ops::Range<u64>) -> [f64; 2] {
         let runs = seeds.end - seeds.start;
         let one = |seed: u64| {
@@ -556,7 +568,7 @@ mod tests {
                 PostureState::Joints(values) => values.clone(),
                 PostureState::FlangePose(_) => unreachable!("diverse postures are joints"),
             };
-            let told: Vec<Vec<f64>> = (0..24)
+            let reported: Vec<Vec<f64>> = (0..24)
                 .map(|at| {
                     let mut own = values(&arms[at / 4]);
                     own[3..].iter_mut().for_each(|value| *value += rng.random_range(-1.2..1.2));
@@ -564,16 +576,16 @@ mod tests {
                 })
                 .collect();
             let off: Vec<[f64; 3]> = (0..6).map(|_| std::array::from_fn(|_| shared * normal(&mut rng))).collect();
-            let stands = |at: usize, rng: &mut rand_chacha::ChaCha8Rng| {
+            let actual_at = |at: usize, rng: &mut rand_chacha::ChaCha8Rng| {
                 let shift = |k: usize| off[at / 4].get(k).copied().unwrap_or_default();
                 let moved: Vec<f64> =
-                    told[at].iter().enumerate().map(|(k, q)| q + shift(k) + own * normal(rng)).collect();
+                    reported[at].iter().enumerate().map(|(k, q)| q + shift(k) + own * normal(rng)).collect();
                 joints(at, &moved)
             };
-            let stand: Vec<Posture> = (0..24).map(|at| stands(at, &mut rng)).collect();
+            let actual: Vec<Posture> = (0..24).map(|at| actual_at(at, &mut rng)).collect();
             let sensing = Sensing { depth_relative: Some(0.003), keypoints: 80, ..half_pixel() };
-            let mut data = record(&truth, &stand, &box_points(900, &mut rng), sensing, &mut rng);
-            data.postures = told.iter().enumerate().map(|(at, values)| joints(at, values)).collect();
+            let mut data = record(&truth, &actual, &box_points(900, &mut rng), sensing, &mut rng);
+            data.postures = reported.iter().enumerate().map(|(at, values)| joints(at, values)).collect();
             let fit = |data: &Correspondences| calibrate_bundle(&hp3j(), data, &BundleOptions::default());
             let groups = held_out_groups(&data.postures, 6);
             assert_eq!(groups, neighbouring_folds(24, 6));

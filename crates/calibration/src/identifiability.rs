@@ -1,11 +1,12 @@
-//! What the data can tell, and what they cannot, in numbers and in words.
+//! Which parameters the data determine and which they do not, in numbers and in words.
 //!
-//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint deviations eliminated)
-//! with each parameter scaled by [`Parameter::scale`]: equal weight for 0.01 rad and 1 cm. They are computed as roots of the eigenvalues of its
-//! normal matrix, so that ratios below about 1e-7 are rounding; below [`RANK_THRESHOLD`] a direction counts as unseen.
+//! The singular values are those of the Jacobian of all residuals (in units of their sigma, scene points and joint
+//! errors eliminated) with each parameter scaled by [`Parameter::scale`]: equal weight for 0.01 rad and 1 cm. They are
+//! computed as roots of the eigenvalues of its normal matrix, so that ratios below about 1e-7 are rounding; below
+//! [`RANK_THRESHOLD`] a direction counts as unobservable.
 //!
-//! Observability indices over the directions that are seen: O1 Borm and Menq 1991; O2 Driels and Pathre 1990; O3 Nahvi, Hollerbach and
-//! Hayward 1994; O4 (noise amplification) Nahvi and Hollerbach 1996; O5 Sun and Hollerbach 2008.
+//! Observability indices over the directions that are seen: O1 Borm and Menq 1991; O2 Driels and Pathre 1990; O3 Nahvi,
+//! Hollerbach and Hayward 1994; O4 (noise amplification) Nahvi and Hollerbach 1996; O5 Sun and Hollerbach 2008.
 
 use crate::{Model, Parameter, Unit, free};
 use nalgebra::{DMatrix, DVector};
@@ -13,12 +14,12 @@ use serde::{Deserialize, Serialize};
 use skclam_kinematics::{ParameterId, ParameterKind};
 use skclam_rig::{Posture, PostureState, Rig};
 
-/// A direction whose singular value is below this fraction of the greatest is unseen.
+/// A direction whose singular value is below this fraction of the greatest is unobservable.
 pub const RANK_THRESHOLD: f64 = 3e-6;
 /// Components below this fraction of the greatest are left out of a combination.
 const SHOWN: f64 = 0.05;
 
-/// What the data can tell of the free parameters, priors not heard.
+/// What the data determine of the free parameters, without priors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Identifiability {
     /// Of the scaled Jacobian, greatest first; one a free parameter.
@@ -35,10 +36,11 @@ pub struct Identifiability {
     pub weakest: Vec<(Parameter, f64)>,
 }
 
-/// A combination of parameters that the data cannot tell.
+/// A combination of parameters that is not identifiable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnobservableDirection {
-    /// Parameters and how far each moves (scaled by [`Parameter::scale`], the greatest 1): such a change alters no residual.
+    /// Parameters and how far each moves (scaled by [`Parameter::scale`], the greatest 1): such a change alters no
+    /// residual.
     pub combination: Vec<(Parameter, f64)>,
     /// Which kind.
     pub cause: UnobservableCause,
@@ -55,27 +57,27 @@ pub enum UnobservableCause {
     BaseGauge,
     /// It is the mount's by another name.
     ToolGauge,
-    /// Every length grows together.
+    /// All lengths scale together.
     Scale,
     /// Neighbouring axes are parallel.
     ParallelAxes,
     /// A joint hardly moved.
     InsufficientExcitation,
-    /// The postures do not tell the parameters apart.
+    /// The postures do not separate the parameters.
     Postures,
 }
 
-/// Rank, indices and names from the information matrix of the data (natural units, no priors).
+/// Rank, indices and names from the normal matrix of the data (natural units, no priors).
 pub(crate) fn identify(
     model: &Model,
     postures: &[Posture],
     parameters: &[Parameter],
-    information: &DMatrix<f64>,
+    normal_matrix: &DMatrix<f64>,
 ) -> Identifiability {
     let count = parameters.len();
     let scales = DVector::from_iterator(count, parameters.iter().map(|p| p.scale()));
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (information[(i, j)] + information[(j, i)]) * scales[i] * scales[j]
+        0.5 * (normal_matrix[(i, j)] + normal_matrix[(j, i)]) * scales[i] * scales[j]
     });
     let eigen = scaled.symmetric_eigen();
     let mut order: Vec<usize> = (0..count).collect();
@@ -98,7 +100,7 @@ pub(crate) fn identify(
         ]
     };
     let basis: Vec<DVector<f64>> = order[rank..].iter().map(|&i| eigen.eigenvectors.column(i).into_owned()).collect();
-    let unseen = sparse_basis(basis, &model.rig, parameters)
+    let unobservable = sparse_basis(basis, &model.rig, parameters)
         .into_iter()
         .map(|direction| name_direction(&direction, model, postures, parameters))
         .collect();
@@ -111,13 +113,13 @@ pub(crate) fn identify(
         singular_values,
         rank,
         observability,
-        unobservable: unseen,
+        unobservable,
         weakest,
     }
 }
 
-/// Turns any basis of the unseen space into one with few components a direction: Gauss-Jordan elimination whose pivots are the parameters of
-/// the known gauge first, then the greatest components.
+/// Turns any basis of the unobservable space into one with few components a direction: Gauss-Jordan elimination whose
+/// pivots are the parameters of the known gauge first, then the greatest components.
 fn sparse_basis(mut rows: Vec<DVector<f64>>, rig: &Rig, parameters: &[Parameter]) -> Vec<DVector<f64>> {
     let gauge = free::gauge(rig);
     let mut columns: Vec<usize> = (0..parameters.len()).filter(|&k| gauge.contains(&parameters[k])).collect();
@@ -181,7 +183,7 @@ fn name_direction(
     let (cause, reason) = if let ([(parameter, _)], Some(_)) = (&combination[..], of_gauge(0)) {
         (
             UnobservableCause::BaseGauge,
-            format!("{parameter} moves the base and the whole world with it: no image can tell"),
+            format!("{parameter} moves the base and the whole world with it: not identifiable from images"),
         )
     } else if let (Some((parameter, _)), true) = (of_gauge(last), mounted) {
         let what = if parameter.unit() == Unit::Radian { "angle" } else { "length" };
@@ -204,10 +206,10 @@ fn name_direction(
     } else if let Some((joint, range)) = insufficient_excitation(&combination, postures) {
         (
             UnobservableCause::InsufficientExcitation,
-            format!("joint {} moved by only {range:.1} deg: {} cannot be told apart", joint + 1, names.join(", ")),
+            format!("joint {} moved by only {range:.1} deg: {} cannot be separated", joint + 1, names.join(", ")),
         )
     } else {
-        (UnobservableCause::Postures, format!("the postures do not tell {} apart", names.join(", ")))
+        (UnobservableCause::Postures, format!("the postures do not separate {}", names.join(", ")))
     };
     UnobservableDirection { combination, cause, reason }
 }
@@ -219,7 +221,7 @@ fn others(names: &[String], parameter: &Parameter) -> String {
 
 /// Whether the direction makes every length grow by the same factor and turns nothing.
 fn is_scale(direction: &DVector<f64>, model: &Model, parameters: &[Parameter]) -> bool {
-    let growth = DVector::from_iterator(
+    let scaling = DVector::from_iterator(
         parameters.len(),
         parameters.iter().map(|&parameter| {
             let value = match parameter {
@@ -233,8 +235,8 @@ fn is_scale(direction: &DVector<f64>, model: &Model, parameters: &[Parameter]) -
             value / parameter.scale()
         }),
     );
-    // Base-end and hand-end lengths may have been eliminated from the direction, so compare where it speaks.
-    let masked = growth.zip_map(direction, |g, d| if d == 0.0 { 0.0 } else { g });
+    // Lengths of the base and tool gauges may have been eliminated from the direction, so compare where it is not zero.
+    let masked = scaling.zip_map(direction, |g, d| if d == 0.0 { 0.0 } else { g });
     let (a, b) = (masked.norm(), direction.norm());
     a > 0.0 && b > 0.0 && (masked.dot(direction) / (a * b)).abs() > 0.98
 }

@@ -1,14 +1,15 @@
-//! The damped descent that both least-squares estimators share.
+//! The damped minimisation that both least-squares estimators use.
 //!
-//! Marquardt's damping by the diagonal of the normal matrix, driven by the ratio of gained to predicted cost (Madsen, Nielsen and Tingleff, "Methods for
-//! non-linear least squares problems", 2004, section 3.2). What a step is, and what it costs, is the caller's.
+//! Marquardt's damping by the diagonal of the normal matrix, driven by the ratio of gained to predicted cost (Madsen,
+//! Nielsen and Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2). What a step is, and what
+//! it costs, is the caller's.
 
 use crate::{CalibrationError, Parameter, StopReason};
 use nalgebra::{DMatrix, DVector};
 
-/// When the descent stops.
+/// When the minimisation stops.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct DescentLimits {
+pub(crate) struct MinimizationLimits {
     pub max_iterations: usize,
     /// Relative change of the cost.
     pub cost_tolerance: f64,
@@ -30,7 +31,7 @@ pub(crate) struct Proposal<S> {
     pub predicted: f64,
 }
 
-/// Where the descent ended.
+/// Where the minimisation ended.
 pub(crate) struct Minimization<S> {
     pub state: S,
     pub cost: f64,
@@ -43,16 +44,16 @@ pub(crate) struct Minimization<S> {
 const FIRST_DAMPING: f64 = 1e-4;
 const SMALLEST_DAMPING: f64 = 1e-9;
 /// A diagonal entry below this fraction of the greatest (in units of the parameters' scales) is rounding.
-const UNSEEN: f64 = 1e-14;
+const UNOBSERVABLE: f64 = 1e-14;
 const GREATEST_DAMPING: f64 = 1e10;
 /// Equations that cannot be solved with this damping have no solution.
 const SINGULAR_DAMPING: f64 = 1.0;
 
-/// Descends from `state`. `propose(state, damping)` solves for a step and evaluates it.
-pub(crate) fn descend<S>(
+/// Minimises from `state`. `propose(state, damping)` solves for a step and evaluates it.
+pub(crate) fn minimize<S>(
     mut state: S,
     mut cost: f64,
-    limits: DescentLimits,
+    limits: MinimizationLimits,
     mut propose: impl FnMut(&S, f64) -> Result<Proposal<S>, CalibrationError>,
 ) -> Result<Minimization<S>, CalibrationError> {
     let mut damping = FIRST_DAMPING;
@@ -69,8 +70,8 @@ pub(crate) fn descend<S>(
                 damping = (damping * 10.0).max(1e-6);
                 continue;
             }
-            // Nothing leads on from here: what was reached stands, and does not count as converged.
-            Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoDescent { damping },
+            // No step improves the cost: what was reached is kept, and does not count as converged.
+            Err(CalibrationError::Singular { .. }) if iterations > 0 => break StopReason::NoProgress { damping },
             other => other?,
         };
         iterations += 1;
@@ -107,7 +108,7 @@ pub(crate) fn descend<S>(
             }
             damping = (damping * 8.0).max(1e-6);
             if damping > GREATEST_DAMPING {
-                break StopReason::NoDescent { damping };
+                break StopReason::NoProgress { damping };
             }
         }
     };
@@ -116,22 +117,22 @@ pub(crate) fn descend<S>(
 
 /// Solves `(H + damping diag(H)) x = g` for a symmetric positive semidefinite `H`; unknowns that nothing sees stay.
 pub(crate) fn damped_solve(
-    information: &DMatrix<f64>,
+    normal_matrix: &DMatrix<f64>,
     rhs: &DVector<f64>,
     parameters: &[Parameter],
     damping: f64,
 ) -> Result<DVector<f64>, CalibrationError> {
     let count = rhs.len();
-    // Unknowns behind the parameters (board, joint deviations) are radians and metres too.
+    // Unknowns behind the parameters (board, joint errors) are radians and metres too.
     let unit = |k: usize| parameters.get(k).map_or(1e-2, |parameter| parameter.scale()).powi(2);
-    let greatest = (0..count).map(|k| information[(k, k)] * unit(k)).fold(0.0, f64::max);
+    let greatest = (0..count).map(|k| normal_matrix[(k, k)] * unit(k)).fold(0.0, f64::max);
     // Jacobi scaling: the factorisation then sees a unit diagonal whatever the units.
     let scale = DVector::from_fn(count, |k, _| {
-        let diagonal = information[(k, k)];
-        if diagonal * unit(k) > UNSEEN * greatest { 1.0 / diagonal.sqrt() } else { 0.0 }
+        let diagonal = normal_matrix[(k, k)];
+        if diagonal * unit(k) > UNOBSERVABLE * greatest { 1.0 / diagonal.sqrt() } else { 0.0 }
     });
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        let value = information[(i, j)] * scale[i] * scale[j];
+        let value = normal_matrix[(i, j)] * scale[i] * scale[j];
         if i != j {
             value
         } else if scale[i] == 0.0 {
@@ -164,8 +165,8 @@ pub(crate) fn scaled_norm(parameters: &[Parameter], step: &DVector<f64>) -> f64 
 }
 
 /// What the linear model promises: `g x - x H x / 2`.
-pub(crate) fn predicted_gain(information: &DMatrix<f64>, rhs: &DVector<f64>, step: &DVector<f64>) -> f64 {
-    rhs.dot(step) - 0.5 * step.dot(&(information * step))
+pub(crate) fn predicted_gain(normal_matrix: &DMatrix<f64>, rhs: &DVector<f64>, step: &DVector<f64>) -> f64 {
+    rhs.dot(step) - 0.5 * step.dot(&(normal_matrix * step))
 }
 
 #[cfg(test)]
@@ -178,9 +179,13 @@ mod tests {
         let residuals = |x: &DVector<f64>| DVector::from_vec(vec![1.0 - x[0], 10.0 * (x[1] - x[0] * x[0])]);
         let cost = |x: &DVector<f64>| 0.5 * residuals(x).norm_squared();
         let start = DVector::from_vec(vec![-1.2, 1.0]);
-        let limits =
-            DescentLimits { max_iterations: 200, cost_tolerance: 1e-14, step_tolerance: 1e-12, sigma_tolerance: 0.0 };
-        let result = descend(start.clone(), cost(&start), limits, |x, damping| {
+        let limits = MinimizationLimits {
+            max_iterations: 200,
+            cost_tolerance: 1e-14,
+            step_tolerance: 1e-12,
+            sigma_tolerance: 0.0,
+        };
+        let result = minimize(start.clone(), cost(&start), limits, |x, damping| {
             let jacobian = DMatrix::from_row_slice(2, 2, &[-1.0, 0.0, -20.0 * x[0], 10.0]);
             let (h, g) = (jacobian.transpose() * &jacobian, -jacobian.transpose() * residuals(x));
             let step = damped_solve(&h, &g, &[], damping)?;

@@ -1,8 +1,8 @@
 //! From correspondences and a nominal rig to a calibrated rig with its covariance.
 //!
 //! Three estimators of the same [`Model`], from the paper's own to the one that reaches the Cramer-Rao bound. All of
-//! them free an explicit, ordered list of [`Parameter`]s, say how they ended ([`Termination`]) and what the data
-//! cannot tell. This crate knows pixels, postures and rigs; it knows no images, no files, no map and no simulation.
+//! them free an explicit, ordered list of [`Parameter`]s, say how they ended ([`Termination`]) and what the data do not
+//! determine. This crate knows pixels, postures and rigs; it knows no images, no files, no map and no simulation.
 
 mod board;
 mod bundle;

@@ -13,8 +13,8 @@ pub struct DepthCorrection {
     pub scale: f64,
     /// Metres.
     pub offset_m: f64,
-    /// What the depth camera's place beside the colour camera is off: translation, metres, then rotation vector, radians, in the colour camera's
-    /// axes; `color_from_depth` is `Exp` of it times what the rig says.
+    /// What the depth camera's place beside the colour camera is off: translation, metres, then rotation vector,
+    /// radians, in the colour camera's axes; `color_from_depth` is `Exp` of it times what the rig says.
     pub extrinsics: [f64; 6],
 }
 
@@ -32,7 +32,8 @@ pub(crate) fn extrinsic_index(component: MountComponent) -> usize {
 /// A rig, and how its measured depth is to be read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Arm, what its joints do beside their encoders, mount, cameras. Its depth camera's unit is untouched: see `depth`, and [`Model::corrected_rig`].
+    /// Arm, what its joints do beside their encoders, mount, cameras. Its depth camera's unit is untouched: see
+    /// `depth`, and [`Model::corrected_rig`].
     pub rig: Rig,
     /// Of the measured depth.
     pub depth: DepthCorrection,
@@ -70,8 +71,8 @@ impl Model {
         rig
     }
 
-    /// A parameter's value in its unit. A mount rotation is relative to `nominal`'s mount: the rotation vector from that to this
-    /// in the flange's axes. `None` where there is no such joint or parameter.
+    /// A parameter's value in its unit. A mount rotation is relative to `nominal`'s mount: the rotation vector from
+    /// that to this in the flange's axes. `None` where there is no such joint or parameter.
     pub fn value(&self, nominal: &Rig, parameter: Parameter) -> Option<f64> {
         Some(match parameter {
             Parameter::Chain(id) => self.rig.robot.as_ref()?.parameter(id)?,
@@ -92,8 +93,9 @@ impl Model {
         })
     }
 
-    /// The model after a step: `delta[k]` is added to `parameters[k]`. Rotations of the mount are composed as one rotation vector in
-    /// the flange's axes, `Exp(delta) R`, so that a step from here is always small and has no singularity.
+    /// The model after a step: `delta[k]` is added to `parameters[k]`. Rotations of the mount are composed as one
+    /// rotation vector in the flange's axes, `Exp(delta) R`, so that a step from here is always small and has no
+    /// singularity.
     pub fn stepped(&self, parameters: &[Parameter], delta: &[f64]) -> Result<Model, CalibrationError> {
         let mut model = self.clone();
         let mut turn = Vector3::zeros();
@@ -185,10 +187,10 @@ mod tests {
         let found = calibrate_bundle(&hp3j(), &data, &BundleOptions { free, ..Default::default() }).unwrap();
         let rig = found.model.corrected_rig();
         let error = |rig: &Rig, posture: &skclam_rig::Posture| {
-            let [is, told] = [&truth, rig].map(|rig| rig.base_from_color(posture).unwrap());
+            let [is, nominal] = [&truth, rig].map(|rig| rig.base_from_color(posture).unwrap());
             // The base's turn about joint 1 is free: heights and radii are compared.
-            let [is, told] = [is, told].map(|pose| pose.translation.vector);
-            (is.z - told.z).hypot(is.xy().norm() - told.xy().norm())
+            let [is, nominal] = [is, nominal].map(|pose| pose.translation.vector);
+            (is.z - nominal.z).hypot(is.xy().norm() - nominal.xy().norm())
         };
         for (posture, pose) in postures.iter().zip(camera_poses(&found.model, &postures).unwrap()) {
             assert!((rig.base_from_color(posture).unwrap().to_homogeneous() - pose.to_homogeneous()).norm() < 1e-6);

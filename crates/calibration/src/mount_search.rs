@@ -1,9 +1,10 @@
 //! The mount when nothing is known of it: a global start.
 //!
-//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined by a few steps on a small sample of the pair matches,
-//! with the camera at the flange's origin at first; the better ones go on on a larger sample, and the best of those on all: the one whose epipolar distances are
-//! smallest wins. Every relative motion with a
-//! baseline constrains the mount through the matches themselves, so that no camera motion has to be decomposed first.
+//! Rotations spread evenly over all orientations (Alexa, "Super-Fibonacci spirals", 2022) are each refined by a few
+//! steps on a small sample of the pair matches, with the camera at the flange's origin at first; the better ones go on
+//! on a larger sample, and the best of those on all: the one whose epipolar distances are smallest wins. Every relative
+//! motion with a baseline constrains the mount through the matches themselves, so that no camera motion has to be
+//! decomposed first.
 
 use crate::pairwise::{Search, calibrate_pairwise_from};
 use crate::{
@@ -28,7 +29,7 @@ struct Stage {
 const STAGES: [Stage; 2] =
     [Stage { matches: 400, iterations: 8, kept: 20 }, Stage { matches: 1500, iterations: 15, kept: 3 }];
 
-/// Finds `flange_from_color` from pair matches alone; the rig's own mount is not looked at. The arm stays nominal.
+/// Finds `flange_from_color` from pair matches alone; the rig's own mount is ignored. The arm stays nominal.
 pub fn find_mount(nominal: &Rig, data: &Correspondences) -> Result<Calibration, CalibrationError> {
     data.check()?;
     let options = PairwiseOptions {

@@ -1,9 +1,10 @@
 //! The paper's estimator (section 3.3): Eq. (7) minimised by Nelder-Mead.
 //!
-//! One simplex does not reach the minimum: it flattens and stalls, and by the spread of its values alone it looks converged (at 500 iterations the
-//! angles are still more than a degree off). So each simplex runs until its values agree to `simplex_tolerance`, then a fresh one is spread around its best
-//! vertex: along the axes at first, then along other orthogonal directions, because a kink of the unsquared distances that stops one simplex lets
-//! another pass. The search ends when several restarts in a row gain less than `restart_tolerance` of the value.
+//! One simplex does not reach the minimum: it flattens and stalls, and by the spread of its values alone it looks
+//! converged (at 500 iterations the angles are still more than a degree off). So each simplex runs until its values
+//! agree to `simplex_tolerance`, then a fresh one is spread around its best vertex: along the axes at first, then along
+//! other orthogonal directions, because a kink of the unsquared distances that stops one simplex lets another pass. The
+//! search ends when several restarts in a row gain less than `restart_tolerance` of the value.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{UndistortedPairs, epipolar_statistics};
@@ -100,7 +101,7 @@ impl CostFunction for Problem<'_> {
     }
 }
 
-/// Minimises Eq. (7) over the free parameters of arm and mount. It has no covariance and hears no priors.
+/// Minimises Eq. (7) over the free parameters of arm and mount. It has no covariance and uses no priors.
 pub fn calibrate_nelder_mead(
     nominal: &Rig,
     data: &Correspondences,

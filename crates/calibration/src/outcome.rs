@@ -12,12 +12,12 @@ pub struct Calibration {
     pub model: Model,
     /// The free parameters, in their order.
     pub parameters: Vec<ParameterEstimate>,
-    /// Covariance of the free parameters in their order and units (rad, m, px ...), the data and the priors together. `None` for
-    /// Nelder-Mead, which has none.
+    /// Covariance of the free parameters in their order and units (rad, m, px ...), the data and the priors together.
+    /// `None` for Nelder-Mead, which has none.
     pub covariance: Option<DMatrix<f64>>,
     /// What the covariance is made of; `None` but for the bundle adjustment.
     pub(crate) posterior: Option<PosteriorInputs>,
-    /// What the data can tell. `None` for Nelder-Mead.
+    /// Which parameters are identifiable. `None` for Nelder-Mead.
     pub identifiability: Option<Identifiability>,
     /// Epipolar distances of the pair matches under the nominal rig.
     pub epipolar_before: EpipolarStatistics,
@@ -27,7 +27,7 @@ pub struct Calibration {
     pub reprojection_before: Option<ReprojectionStatistics>,
     /// The same under the calibrated model.
     pub reprojection_after: Option<ReprojectionStatistics>,
-    /// The noise that the residuals tell of.
+    /// The noise that the residuals imply.
     pub noise: Noise,
     /// One a posture: how well it fits.
     pub postures: Vec<PostureFit>,
@@ -35,7 +35,8 @@ pub struct Calibration {
     pub ruler: Option<Ruler>,
     /// Prior sigmas of the arm's parameters that the evidence chose.
     pub prior_scales: Vec<PriorScale>,
-    /// What each joint was off its value (rad or m), or a flange pose its own (m, then rad), posture by posture; empty where it was not estimated.
+    /// What each joint was off its value (rad or m), or a flange pose its own (m, then rad), posture by posture; empty
+    /// where it was not estimated.
     pub posture_errors: Vec<Vec<f64>>,
     /// The same with its covariance; `None` where it was not estimated.
     pub posture_error_knowledge: Option<PostureErrorKnowledge>,
@@ -43,7 +44,7 @@ pub struct Calibration {
     pub error_patterns: Vec<PatternFinding>,
     /// How the solver ended.
     pub termination: Termination,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<Warning>,
 }
 
@@ -54,11 +55,12 @@ pub struct Ruler {
     pub parameter: Parameter,
     /// How well it is known beforehand: a fraction.
     pub prior_sigma: f64,
-    /// How much larger than nominal it is, as the data, the arm's nominal lengths and its own tolerance together have it: a fraction.
+    /// How much larger than nominal it is, as the data, the arm's nominal lengths and its own tolerance together have
+    /// it: a fraction.
     pub mean: f64,
     /// Sigma of that.
     pub sigma: f64,
-    /// Whether the estimate takes it at its word all the same, since nothing contradicts that.
+    /// Whether the estimate takes it as exact all the same, since nothing contradicts that.
     pub held: bool,
     /// What of the covariance it makes.
     pub covariance: DMatrix<f64>,
@@ -96,8 +98,8 @@ impl Calibration {
         })
     }
 
-    /// Makes the covariance such as it would be if the observations were worth less by a factor (above 1) of their variance, and the sigmas with it: what is reported is
-    /// never below what the data show. Priors stay.
+    /// Makes the covariance such as it would be if the observations were worth less by a factor (above 1) of their
+    /// variance, and the sigmas with it: what is reported is never below what the data show. Priors stay.
     pub fn widen(&mut self, variance_factor: f64) {
         let Some(inputs) = self.posterior.as_ref().filter(|_| variance_factor > 1.0 && variance_factor.is_finite())
         else {
@@ -151,14 +153,15 @@ pub struct ReprojectionStatistics {
     pub inliers: usize,
 }
 
-/// The noise that the residuals tell of.
+/// The noise that the residuals imply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Noise {
     /// Sigma of a pixel coordinate (of a Sampson distance for pairwise estimators), times each observation's own sigma.
     pub pixel: f64,
     /// `s` of `sigma = s z^2` of the measured depth, 1/m; `None` without depth.
     pub depth_sigma_per_m2: Option<f64>,
-    /// Sigma of the angular errors of single postures (revolute joints, or the rotation of a flange pose), rad; `None` where they were not estimated.
+    /// Sigma of the angular errors of single postures (revolute joints, or the rotation of a flange pose), rad; `None`
+    /// where they were not estimated.
     pub posture_angular: Option<f64>,
     /// The same of the linear ones (prismatic joints, or the translation of a flange pose), m.
     pub posture_linear: Option<f64>,

@@ -1,15 +1,17 @@
-//! Robust least squares on signed Sampson distances over all matches: the paper's pairs, at first-order maximum likelihood.
+//! Robust least squares on signed Sampson distances over all matches: the paper's pairs, at first-order maximum
+//! likelihood.
 //!
-//! The chain rule works at the level of the pair: every match adds to the 6 x 6 normal matrix of its pair's relative twist (15 x 15 with free
-//! intrinsics), and one product a pair takes that to the parameters, so that the cost a match does not depend on how many are free.
-//! A search on a sample of the matches finds the basin (Tukey's biweight, narrowing with the smallest third of the residuals, from several widths); then all matches are
-//! fitted, and the scale of the loss is that of the residuals that fit, round by round until it settles.
+//! The chain rule works at the level of the pair: every match adds to the 6 x 6 normal matrix of its pair's relative
+//! twist (15 x 15 with free intrinsics), and one product a pair takes that to the parameters, so that the cost a match
+//! does not depend on how many are free. A search on a sample of the matches finds the basin (Tukey's biweight,
+//! narrowing with the smallest third of the residuals, from several widths); then all matches are fitted, and the scale
+//! of the loss is that of the residuals that fit, round by round until it settles.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::error_function::{SMALLEST_BASELINE_M, UndistortedPairs, epipolar_statistics};
 use crate::identifiability::identify;
 use crate::levenberg_marquardt::{
-    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    Minimization, MinimizationLimits, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::pairwise_system::{Linearized, PairwiseSystem};
 use crate::prior::Priors;
@@ -29,7 +31,7 @@ pub enum Search {
     /// On a sample of the matches, with losses of several widths: for starts degrees off and for many wrong matches.
     #[default]
     Widths,
-    /// Descends from the start at once.
+    /// Minimises from the start at once.
     Off,
 }
 
@@ -39,7 +41,7 @@ pub enum Search {
 pub struct PairwiseOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// The loss of the last rounds; its constant in sigmas.
     pub loss: Loss,
@@ -80,8 +82,8 @@ const SEARCH_ROUNDS: usize = 10;
 const SEARCH_ITERATIONS: usize = 12;
 /// Matches that the search looks at.
 const SEARCH_MATCHES: usize = 6000;
-/// Constants of Tukey's loss with which the search starts, in units of the residuals' scale at the start. Wide ones come far when most matches are right,
-/// narrow ones when many are wrong.
+/// Constants of Tukey's loss with which the search starts, in units of the residuals' scale at the start. Wide ones
+/// come far when most matches are right, narrow ones when many are wrong.
 const SEARCH_WIDTHS: [f64; 4] = [4.0, 2.0, 1.0, 0.5];
 
 #[derive(Debug, Clone, Copy)]
@@ -117,7 +119,7 @@ impl Problem<'_> {
         Ok(system.cost(model, round.loss, round.sigma)? + self.priors.cost(self.nominal, model, self.parameters))
     }
 
-    fn descend(
+    fn minimize(
         &self,
         system: &PairwiseSystem<'_>,
         model: &Model,
@@ -125,14 +127,14 @@ impl Problem<'_> {
         max_iterations: usize,
         effort: &mut Effort,
     ) -> Result<Minimization<Model>, CalibrationError> {
-        let limits = DescentLimits {
+        let limits = MinimizationLimits {
             max_iterations,
             cost_tolerance: self.tolerance,
             step_tolerance: 1e-10,
             sigma_tolerance: 0.0,
         };
-        // One pass over the matches gives a state's cost and its normal equations: those of the state that was left, for another damping, and those of the
-        // state that was tried.
+        // One pass over the matches gives a state's cost and its normal equations: those of the state that was left,
+        // for another damping, and those of the state that was tried.
         let prepare = |state: &Model| -> Result<Prepared, CalibrationError> {
             let Linearized { mut normal, mut rhs, cost } = system.linearize(state, round.loss, round.sigma)?;
             self.priors.add_to(self.nominal, state, self.parameters, &mut normal, &mut rhs);
@@ -142,7 +144,7 @@ impl Problem<'_> {
         let mut left = prepare(model)?;
         let mut tried: Option<Prepared> = None;
         let cost = left.cost;
-        let minimization = descend(model.clone(), cost, limits, |state, damping| {
+        let minimization = minimize(model.clone(), cost, limits, |state, damping| {
             if let Some(tried) = tried.take().filter(|tried| tried.state == *state) {
                 left = tried;
             }
@@ -177,14 +179,14 @@ impl Problem<'_> {
         let system = PairwiseSystem::new(&sample, motion, self.parameters);
         let round = Round { loss, sigma: noise_scale(&system.residuals(start)?).max(EXACT_PX) };
         let mut ahead = Effort::default();
-        let minimization = self.descend(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
+        let minimization = self.minimize(&system, start, &round, SEARCH_ITERATIONS, &mut ahead)?;
         effort.iterations += ahead.iterations;
         effort.evaluations += ahead.evaluations;
         Ok(minimization.state)
     }
 
-    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model whose smallest third of
-    /// residuals is smallest wins. Returns it with the scale of its noise.
+    /// Finds the basin on a sample of the matches: from each width the loss narrows with the residuals, and the model
+    /// whose smallest third of residuals is smallest wins. Returns it with the scale of its noise.
     fn search(
         &self,
         start: &Model,
@@ -200,7 +202,7 @@ impl Problem<'_> {
             let mut scale = coarse_scale(&system.residuals(&model)?);
             for _ in 0..SEARCH_ROUNDS {
                 let round = Round { loss: Loss::Tukey(width), sigma: scale.max(EXACT_PX) };
-                model = self.descend(&system, &model, &round, SEARCH_ITERATIONS, effort)?.state;
+                model = self.minimize(&system, &model, &round, SEARCH_ITERATIONS, effort)?.state;
                 let next = coarse_scale(&system.residuals(&model)?);
                 let settled = (next / scale - 1.0).abs() < 0.05 || next <= EXACT_PX;
                 scale = next;
@@ -235,7 +237,7 @@ pub fn calibrate_pairwise(
     calibrate_pairwise_from(&Model::new(nominal.clone()), nominal, data, options)
 }
 
-/// As [`calibrate_pairwise`], starting elsewhere than at the nominal rig (priors still speak of that).
+/// As [`calibrate_pairwise`], starting elsewhere than at the nominal rig (priors still refer to that).
 pub fn calibrate_pairwise_from(
     start: &Model,
     nominal: &Rig,
@@ -263,8 +265,8 @@ pub fn calibrate_pairwise_from(
         touched[pair.a] = true;
         touched[pair.b] = true;
     });
-    let unseen = data.postures.iter().enumerate().filter(|(posture, _)| !touched[*posture]);
-    warnings.extend(unseen.map(|(posture, p)| Warning::UnobservedPosture { posture, index: p.index }));
+    let unobserved = data.postures.iter().enumerate().filter(|(posture, _)| !touched[*posture]);
+    warnings.extend(unobserved.map(|(posture, p)| Warning::UnobservedPosture { posture, index: p.index }));
     let matches: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
     let need = (2 * parameters.len()).max(8);
     if matches < need {
@@ -284,11 +286,11 @@ pub fn calibrate_pairwise_from(
         }
         Search::Off => (start.clone(), noise_scale(&system.residuals(start)?)),
     };
-    let dof = degrees_of_freedom_factor(matches, parameters.len());
+    let dof = dof_factor(matches, parameters.len());
     let mut round = Round { loss: options.loss, sigma: (sigma * dof).max(EXACT_PX) };
     let initial_cost = problem.cost(&system, start, &round)?;
     let (residuals, reason, final_cost) = loop {
-        let minimization = problem.descend(&system, &model, &round, options.max_iterations, &mut effort)?;
+        let minimization = problem.minimize(&system, &model, &round, options.max_iterations, &mut effort)?;
         model = minimization.state;
         let residuals = system.residuals(&model)?;
         let next = (noise_scale(&residuals) * dof).max(EXACT_PX);
@@ -364,7 +366,7 @@ pub fn calibrate_pairwise_from(
     })
 }
 
-/// The selection without what Sampson distances cannot hear of: depth.
+/// The selection without what Sampson distances do not use: depth.
 fn free_parameters(free: &Free, nominal: &Rig, motion: &CameraKinematics) -> Result<Vec<Parameter>, CalibrationError> {
     let mut parameters = free.candidates(nominal, motion.has_joints(), false)?;
     let blind = |p: &Parameter| !p.moves_camera() && !matches!(p, Parameter::Intrinsic(_));
@@ -381,7 +383,7 @@ fn free_parameters(free: &Free, nominal: &Rig, motion: &CameraKinematics) -> Res
     Ok(parameters)
 }
 
-fn degrees_of_freedom_factor(residuals: usize, parameters: usize) -> f64 {
+fn dof_factor(residuals: usize, parameters: usize) -> f64 {
     (residuals as f64 / residuals.saturating_sub(parameters).max(1) as f64).sqrt()
 }
 
@@ -470,10 +472,10 @@ mod tests {
             identifiability.singular_values
         );
         let causes = |cause| identifiability.unobservable.iter().filter(|direction| direction.cause == cause).count();
-        let told: Vec<_> = identifiability.unobservable.iter().map(|direction| &direction.reason).collect();
-        assert_eq!(causes(UnobservableCause::BaseGauge), 4, "{told:#?}");
-        assert_eq!(causes(UnobservableCause::ToolGauge), 2, "{told:#?}");
-        assert_eq!(causes(UnobservableCause::Scale), 1, "{told:#?}");
+        let reasons: Vec<_> = identifiability.unobservable.iter().map(|direction| &direction.reason).collect();
+        assert_eq!(causes(UnobservableCause::BaseGauge), 4, "{reasons:#?}");
+        assert_eq!(causes(UnobservableCause::ToolGauge), 2, "{reasons:#?}");
+        assert_eq!(causes(UnobservableCause::Scale), 1, "{reasons:#?}");
         let theta_6 = result.parameters.iter().find(|e| e.parameter.to_string() == "theta_offset_6").unwrap();
         assert_eq!(theta_6.sigma, None);
         assert!(theta_6.note.as_ref().unwrap().contains("mount"), "{theta_6:?}");

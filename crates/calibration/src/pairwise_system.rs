@@ -16,7 +16,7 @@ type Bearings = Vec<(Bearing, Bearing)>;
 
 const WITH_INTRINSICS: usize = 6 + INTRINSICS;
 
-/// Weighted normal matrix and descent direction (the negative gradient) by the parameters, and the sum of the losses.
+/// Weighted normal matrix and right-hand side (the negative gradient) by the parameters, and the sum of the losses.
 pub(crate) struct Linearized {
     pub normal: DMatrix<f64>,
     pub rhs: DVector<f64>,
@@ -30,7 +30,7 @@ pub(crate) struct PairwiseSystem<'a> {
     /// Pair and range of its matches, in order.
     chunks: Vec<Chunk>,
     intrinsics_free: bool,
-    /// Directions under the camera that was there first; they stand for all models while intrinsics are not free.
+    /// Directions under the camera that was there first; they hold for all models while intrinsics are not free.
     bearings: std::sync::OnceLock<Vec<Bearings>>,
 }
 
@@ -56,7 +56,8 @@ impl<'a> PairwiseSystem<'a> {
             self.pairs[pair].matches[from..to]
                 .iter()
                 .map(|m| {
-                    // A pixel that no direction reaches (beyond the fold of the distortion) has no gradient: distance 0.
+                    // A pixel that no direction reaches (beyond the fold of the distortion) has no gradient: distance
+                    // 0.
                     let blind = Bearing::blind();
                     let bearing = |pixel| Bearing::new(camera, pixel, m.sigma_px).unwrap_or(blind);
                     (bearing(&m.in_a), bearing(&m.in_b))

@@ -47,7 +47,8 @@ pub enum Parameter {
     DepthScale,
     /// `a` of `z = a + b z_measured`, metres.
     DepthOffset,
-    /// A component of what `color_from_depth` is off: the depth camera's place beside the colour camera, in the colour camera's axes, about its centre.
+    /// A component of what `color_from_depth` is off: the depth camera's place beside the colour camera, in the colour
+    /// camera's axes, about its centre.
     DepthExtrinsic(MountComponent),
     /// The board's squares as a multiple of what the rig says.
     BoardScale,
@@ -57,7 +58,8 @@ pub enum Parameter {
     TransmissionSin(usize),
     /// The same with the cosine.
     TransmissionCos(usize),
-    /// Compliance of a joint: radians it gives way a metre of horizontal lever arm between its axis and the flange.
+    /// Compliance of a joint: radians of deflection per metre of gravity torque arm (horizontal distance between its
+    /// axis and the flange).
     Compliance(usize),
 }
 
@@ -146,8 +148,8 @@ impl Parameter {
         }
     }
 
-    /// A change that counts as one: 0.01 rad, 1 cm, 10 px, 0.01, 10 ms, 0.001 rad of gear error or a metre of lever arm. It turns steps and
-    /// singular values into comparable numbers.
+    /// A change that counts as one: 0.01 rad, 1 cm, 10 px, 0.01, 10 ms, 0.001 rad of gear error or a metre of gravity
+    /// torque arm. It turns steps and singular values into comparable numbers.
     pub fn scale(self) -> f64 {
         match self {
             Parameter::TransmissionSin(_) | Parameter::TransmissionCos(_) | Parameter::Compliance(_) => 1e-3,
@@ -170,8 +172,8 @@ impl Parameter {
         )
     }
 
-    /// Whether the parameter belongs to the instruments that look at the scene (cameras, board) and to neither arm nor mount: what the answer has to be
-    /// independent of.
+    /// Whether the parameter belongs to the instruments that look at the scene (cameras, board) and to neither arm nor
+    /// mount: what the answer has to be independent of.
     pub fn is_nuisance(self) -> bool {
         !self.moves_camera()
     }

@@ -1,7 +1,8 @@
 //! What the covariance of the parameters says of the flange's and the camera's pose: `J C J^T`, posture by posture.
 //!
-//! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a pose in the base
-//! frame that the calibrated arm defines. What a joint stands off its encoder is not in them: it differs from posture to posture.
+//! The gauge of the base (and whatever else is not free) is taken as true, so that these are the uncertainties of a
+//! pose in the base frame that the calibrated arm defines. What a joint is off its encoder is not in them: it differs
+//! from posture to posture.
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::{Calibration, CalibrationError, Model, Parameter};
@@ -9,8 +10,8 @@ use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3, Vector6};
 use skclam_geometry::Isometry3;
 use skclam_rig::{Posture, Rig};
 
-/// Covariances of two poses at one posture. Order: translation of the frame's origin (m), then rotation (rad), both along the axes of
-/// the moving frame itself.
+/// Covariances of two poses at one posture. Order: translation of the frame's origin (m), then rotation (rad), both
+/// along the axes of the moving frame itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseCovariance {
     /// Of `base_from_flange`.
@@ -31,8 +32,8 @@ pub fn orientation_sigma_rad(covariance: &Matrix6<f64>) -> f64 {
     block.trace().max(0.0).sqrt()
 }
 
-/// Covariances of flange and camera at postures, those of the recording or any others. `None` where the estimator gives no covariance
-/// (Nelder-Mead). Fails where a posture does not belong to the rig.
+/// Covariances of flange and camera at postures, those of the recording or any others. `None` where the estimator gives
+/// no covariance (Nelder-Mead). Fails where a posture does not belong to the rig.
 pub fn pose_covariances(
     nominal: &Rig,
     calibration: &Calibration,
@@ -40,11 +41,11 @@ pub fn pose_covariances(
 ) -> Result<Option<Vec<PoseCovariance>>, CalibrationError> {
     let Some(covariance) = &calibration.covariance else { return Ok(None) };
     let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
-    spread_to_poses(nominal, &calibration.model, &parameters, covariance, postures).map(Some)
+    propagate_to_poses(nominal, &calibration.model, &parameters, covariance, postures).map(Some)
 }
 
 /// The same of a model and the covariance of its parameters.
-pub(crate) fn spread_to_poses(
+pub(crate) fn propagate_to_poses(
     nominal: &Rig,
     model: &Model,
     parameters: &[Parameter],
@@ -54,7 +55,7 @@ pub(crate) fn spread_to_poses(
     let motion = CameraKinematics::new(nominal, postures)?;
     let mut flange_model: Model = model.clone();
     flange_model.rig.flange_from_color = Isometry3::identity();
-    let spread = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
+    let covariance_of = |model: &Model, moves: &dyn Fn(&Parameter) -> bool, posture: usize| {
         let mut columns = motion.linearize(model, parameters, posture, &[])?.by_parameter;
         for (column, parameter) in columns.iter_mut().zip(parameters) {
             if !moves(parameter) {
@@ -68,15 +69,16 @@ pub(crate) fn spread_to_poses(
     (0..postures.len())
         .map(|posture| {
             Ok(PoseCovariance {
-                flange: spread(&flange_model, &|parameter| !matches!(parameter, Parameter::Mount(_)), posture)?,
-                camera: spread(model, &|_| true, posture)?,
+                flange: covariance_of(&flange_model, &|parameter| !matches!(parameter, Parameter::Mount(_)), posture)?,
+                camera: covariance_of(model, &|_| true, posture)?,
             })
         })
         .collect()
 }
 
-/// Camera positions over some postures, once the base frame has been fitted to them (where there are joints): a rigid motion of the whole arm is not noticed by whoever registers its base with the
-/// arm itself, and is taken out as standards of absolute accuracy do (ISO 9283). To first order.
+/// Camera positions over some postures, once the base frame has been fitted to them (where there are joints): a rigid
+/// motion of the whole arm is not noticed by whoever registers its base with the arm itself, and is taken out as
+/// standards of absolute accuracy do (ISO 9283). To first order.
 struct AlignedCameras {
     /// Of the stacked positions by the parameters, base frame, rigid motions taken out.
     jacobian: DMatrix<f64>,
@@ -127,7 +129,8 @@ impl AlignedCameras {
     }
 }
 
-/// The mean variance (m^2) of the camera's position over some postures under covariances of the parameters, the base frame fitted to them.
+/// The mean variance (m^2) of the camera's position over some postures under covariances of the parameters, the base
+/// frame fitted to them.
 pub(crate) struct AlignedVariance {
     cameras: AlignedCameras,
 }
@@ -146,14 +149,16 @@ impl AlignedVariance {
         self.cameras.variance(covariance)
     }
 
-    /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions (Satterthwaite 1946).
+    /// How many independent numbers of equal variance would have a sum of squares as uncertain as that of all positions
+    /// (Satterthwaite 1946).
     pub(crate) fn degrees_of_freedom(&self, covariance: &DMatrix<f64>) -> f64 {
         let product = self.cameras.jacobian.tr_mul(&self.cameras.jacobian) * covariance;
         product.trace().powi(2) / (&product * &product).trace().max(f64::MIN_POSITIVE)
     }
 }
 
-/// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame fitted to them.
+/// What a calibration does to the camera's position over some postures, and what is left of its error, the base frame
+/// fitted to them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlignedPositions {
     /// Root of the mean square of how far the calibration moves the camera, m.
@@ -206,7 +211,7 @@ mod tests {
         let data = record(&truth, &postures, &box_points(500, &mut rng), half_pixel(), &mut rng);
         let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
         let calibration = calibrate_bundle(&hp3j(), &data, &options).unwrap();
-        let told = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
+        let claimed = pose_covariances(&hp3j(), &calibration, &postures[..2]).unwrap().unwrap();
 
         let parameters: Vec<Parameter> = calibration.parameters.iter().map(|estimate| estimate.parameter).collect();
         let root = calibration.covariance.clone().unwrap().cholesky().expect("auto leaves no gauge").l();
@@ -216,7 +221,7 @@ mod tests {
                 calibration.model.stepped(&parameters, delta.as_slice()).unwrap().rig
             })
             .collect();
-        for (posture, told) in postures[..2].iter().zip(&told) {
+        for (posture, claimed) in postures[..2].iter().zip(&claimed) {
             let scatter = |pose: &dyn Fn(&Rig) -> Isometry3| {
                 let center = pose(&calibration.model.rig);
                 let squares = rigs.iter().map(|rig| {
@@ -229,12 +234,12 @@ mod tests {
             let camera = scatter(&|rig| rig.base_from_color(posture).unwrap());
             let flange = scatter(&|rig| rig.base_from_flange(posture).unwrap());
             for (found, expected) in [
-                (position_sigma_m(&told.camera), camera[0]),
-                (orientation_sigma_rad(&told.camera), camera[1]),
-                (position_sigma_m(&told.flange), flange[0]),
-                (orientation_sigma_rad(&told.flange), flange[1]),
+                (position_sigma_m(&claimed.camera), camera[0]),
+                (orientation_sigma_rad(&claimed.camera), camera[1]),
+                (position_sigma_m(&claimed.flange), flange[0]),
+                (orientation_sigma_rad(&claimed.flange), flange[1]),
             ] {
-                assert!((found / expected - 1.0).abs() < 0.08, "{found} told, {expected} scattered");
+                assert!((found / expected - 1.0).abs() < 0.08, "{found} claimed, {expected} scattered");
             }
         }
     }
@@ -245,7 +250,7 @@ mod tests {
         let nominal = hp3j();
         let postures = diverse_postures(&nominal, 20, &mut rng);
         let data = record(&nominal, &postures, &box_points(400, &mut rng), half_pixel(), &mut rng);
-        // All of the arm; its base end is a rigid motion.
+        // All of the arm; its base gauge is a rigid motion.
         let options = BundleOptions {
             free: Free::parse("alpha_1,a_1,theta_offset_1,d_1,theta_offset_3", &nominal).unwrap(),
             posture_errors: PostureErrorPolicy::Off,

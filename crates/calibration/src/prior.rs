@@ -1,8 +1,9 @@
-//! How far a free parameter may be from its nominal value before the data are heard.
+//! How far a free parameter may be from its nominal value before the data are used.
 //!
-//! What an arm is made to is not known beforehand: one has its axes within 0.02 deg, another its zeros off by a degree. So the sigmas of the arm's angles and
-//! lengths are two unknowns of their own ([`PriorGroup`]), estimated by the evidence (MacKay, "Bayesian interpolation", 1992) and integrated over in the
-//! covariance. What cameras and boards are known to is: their sigmas are those of [`default_sigma`].
+//! What an arm is made to is not known beforehand: one has its axes within 0.02 deg, another its zeros off by a degree.
+//! So the sigmas of the arm's angles and lengths are two unknowns of their own ([`PriorGroup`]), estimated by the
+//! evidence (MacKay, "Bayesian interpolation", 1992) and integrated over in the covariance. What cameras and boards are
+//! known to is: their sigmas are those of [`default_sigma`].
 
 use crate::{Free, Intrinsic, Model, MountComponent, Parameter, Unit};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -13,7 +14,8 @@ use skclam_rig::{Prior, Rig};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PriorPolicy {
-    /// The rig's `[prior]` always; the tolerances of [`default_sigma`] where the selection is `auto` or `all`, none for a list.
+    /// The rig's `[prior]` always; the tolerances of [`default_sigma`] where the selection is `auto` or `all`, none for
+    /// a list.
     #[default]
     Auto,
     /// The rig's `[prior]`, and [`default_sigma`] where it is silent.
@@ -45,8 +47,9 @@ impl PriorGroup {
         }
     }
 
-    /// What the group's sigma is about before the data are heard, in its unit: its median. Identified arms of the literature lie between 0.02 and 1 deg and
-    /// between 0.1 and 2 mm (Nubiola and Bonev, "Absolute calibration of an ABB IRB 1600 robot using a laser tracker", 2013, and its references).
+    /// What the group's sigma is about before the data are used, in its unit: its median. Identified arms of the
+    /// literature lie between 0.02 and 1 deg and between 0.1 and 2 mm (Nubiola and Bonev, "Absolute calibration of an
+    /// ABB IRB 1600 robot using a laser tracker", 2013, and its references).
     pub fn median(self) -> f64 {
         match self {
             PriorGroup::Angles => 0.15f64.to_radians(),
@@ -55,11 +58,12 @@ impl PriorGroup {
     }
 }
 
-/// Standard deviation of the logarithm of a variance component's sigma before the data are heard: 95 % within a factor of 20.
+/// Standard deviation of the logarithm of a variance component's sigma before the data are used: 95 % within a factor
+/// of 20.
 pub(crate) const LOG_SPREAD: f64 = 1.5;
 
-/// The sigma of normal numbers of which `determined` are known, with the sum of their squares, under a log-normal prior of its own: the root of
-/// `determined + ln(sigma / median) / LOG_SPREAD^2 = squares / sigma^2`.
+/// The sigma of normal numbers of which `determined` are known, with the sum of their squares, under a log-normal prior
+/// of its own: the root of `determined + ln(sigma / median) / LOG_SPREAD^2 = squares / sigma^2`.
 pub(crate) fn likeliest_sigma(squares: f64, determined: f64, median: f64) -> f64 {
     let slope = |log: f64| determined + (log - median.ln()) / (LOG_SPREAD * LOG_SPREAD) - squares * (-2.0 * log).exp();
     // The left side grows with the logarithm everywhere, so that bisection ends at the only root.
@@ -73,10 +77,12 @@ pub(crate) fn likeliest_sigma(squares: f64, determined: f64, median: f64) -> f64
 
 /// Sigmas in the parameter's unit where the rig gives none.
 ///
-/// Of the arm: the medians of [`PriorGroup::median`], from where the data move them. A mount measured with a ruler. A camera that was calibrated once: focal length to
-/// 0.2 %, centre to 3 px of a megapixel image, distortion to what shifts its corner by about a pixel (Zhang, "A flexible new technique for camera calibration",
-/// 2000, table 1, and the scatter between repeated calibrations that it reports). A depth camera by its data sheet: scale to 0.5 % (a stereo or structured-light camera is specified to 1
-/// or 2 %), offset 1 mm; its place beside the colour camera to 1 mm and 0.2 deg. A printed board: 0.1 %.
+/// Of the arm: the medians of [`PriorGroup::median`], from where the data move them. A mount measured with a ruler. A
+/// camera that was calibrated once: focal length to 0.2 %, centre to 3 px of a megapixel image, distortion to what
+/// shifts its corner by about a pixel (Zhang, "A flexible new technique for camera calibration", 2000, table 1, and the
+/// scatter between repeated calibrations that it reports). A depth camera by its data sheet: scale to 0.5 % (a stereo
+/// or structured-light camera is specified to 1 or 2 %), offset 1 mm; its place beside the colour camera to 1 mm and
+/// 0.2 deg. A printed board: 0.1 %.
 pub fn default_sigma(rig: &Rig, parameter: Parameter) -> f64 {
     let width = f64::from(rig.color.width);
     match (parameter, parameter.unit()) {
@@ -191,14 +197,14 @@ impl Priors {
 
     /// Adds the priors to `H delta = g` (g: the negative gradient) of the parameters, which are the first unknowns.
     ///
-    /// A step turns the mount by `Exp(delta) R`, and the prior speaks of `log(R R_nominal^-1)`: the left Jacobian of SO(3) lies
-    /// between them.
+    /// A step turns the mount by `Exp(delta) R`, and the prior is on `log(R R_nominal^-1)`: the left Jacobian of SO(3)
+    /// lies between them.
     pub(crate) fn add_to(
         &self,
         nominal: &Rig,
         model: &Model,
         parameters: &[Parameter],
-        information: &mut DMatrix<f64>,
+        normal_matrix: &mut DMatrix<f64>,
         rhs: &mut DVector<f64>,
     ) {
         let offsets = Self::offsets(nominal, model, parameters);
@@ -212,7 +218,7 @@ impl Priors {
             let Some(sigma) = sigma else { continue };
             let weight = 1.0 / (sigma * sigma);
             let Some(component) = rotation(parameter) else {
-                information[(row, row)] += weight;
+                normal_matrix[(row, row)] += weight;
                 rhs[row] -= weight * offsets[row];
                 continue;
             };
@@ -223,7 +229,7 @@ impl Priors {
                 rhs[i] -= weight * derivative(at_i) * turn[component.axis()];
                 for (j, q) in parameters.iter().enumerate() {
                     if let Some(at_j) = rotation(*q) {
-                        information[(i, j)] += weight * derivative(at_i) * derivative(at_j);
+                        normal_matrix[(i, j)] += weight * derivative(at_i) * derivative(at_j);
                     }
                 }
             }
@@ -256,9 +262,9 @@ mod tests {
         let model = Model::new(perturbed(&nominal, &Free::Auto, errors, &mut seeded(2)));
         let parameters = Free::All.candidates(&nominal, true, true).unwrap();
         let priors = Priors::new(&nominal, &Free::All, PriorPolicy::Auto, &parameters);
-        let mut information = DMatrix::zeros(parameters.len(), parameters.len());
+        let mut normal_matrix = DMatrix::zeros(parameters.len(), parameters.len());
         let mut rhs = DVector::zeros(parameters.len());
-        priors.add_to(&nominal, &model, &parameters, &mut information, &mut rhs);
+        priors.add_to(&nominal, &model, &parameters, &mut normal_matrix, &mut rhs);
         for (k, &parameter) in parameters.iter().enumerate() {
             let step = 1e-6 * priors.sigmas[k].unwrap();
             let at = |change| priors.cost(&nominal, &model.stepped(&[parameter], &[change]).unwrap(), &parameters);
@@ -266,7 +272,7 @@ mod tests {
             let scale = 1.0 / priors.sigmas[k].unwrap();
             assert!((slope + rhs[k]).abs() < 1e-4 * scale.max(slope.abs()), "{parameter}: {slope} {}", rhs[k]);
         }
-        assert!((&information - information.transpose()).amax() < 1e-9 * information.amax());
+        assert!((&normal_matrix - normal_matrix.transpose()).amax() < 1e-9 * normal_matrix.amax());
     }
 
     #[test]

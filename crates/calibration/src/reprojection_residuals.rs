@@ -1,4 +1,5 @@
-//! Observation by observation, where a scene point should appear and where it was seen: what a plot of systematic patterns over the image needs.
+//! Observation by observation, where a scene point should appear and where it was seen: what a plot of systematic
+//! patterns over the image needs.
 
 use crate::bundle::{Observations, compare};
 use crate::camera_kinematics::CameraKinematics;
@@ -19,10 +20,11 @@ pub struct ReprojectionResidual {
     pub calibrated: Vector2<f64>,
 }
 
-/// Residuals of all observations of tracks and board corners, in their order. Scene points and the board's pose are fitted to each model's cameras, nothing else
-/// moves; observations whose point cannot be triangulated, or lies behind a camera, are left out. Empty where there are pairs alone.
+/// Residuals of all observations of tracks and board corners, in their order. Scene points and the board's pose are
+/// fitted to each model's cameras, nothing else moves; observations whose point cannot be triangulated, or lies behind
+/// a camera, are left out. Empty where there are pairs alone.
 ///
-/// `sigma_px`: the noise of a pixel coordinate, which sets how the loss hears outliers.
+/// `sigma_px`: the noise of a pixel coordinate, which sets how the loss weights outliers.
 ///
 /// # Errors
 /// Correspondences that contradict themselves, and what the models' kinematics refuse.

@@ -1,6 +1,7 @@
 //! Robust loss functions and the scale of noise, estimated from residuals.
 //!
-//! Huber and Ronchetti, "Robust Statistics", 2nd ed., 2009: M-estimators of location and scale, and their asymptotic variance.
+//! Huber and Ronchetti, "Robust Statistics", 2nd ed., 2009: M-estimators of location and scale, and their asymptotic
+//! variance.
 
 use serde::{Deserialize, Serialize};
 
@@ -107,12 +108,13 @@ pub(crate) fn coarse_scale(residuals: &[f64]) -> f64 {
     quantile(&mut residuals.iter().map(|r| r.abs()).collect::<Vec<_>>(), 1.0 / 3.0) / 0.430_727
 }
 
-/// Beyond so many sigmas a residual says nothing about the noise.
+/// Beyond so many sigmas a residual carries no information about the noise.
 const TRUNCATION: f64 = 2.5;
 /// Variance of a standard normal truncated there: `1 - 2 c phi(c) / (2 Phi(c) - 1)`.
 const TRUNCATED_VARIANCE: f64 = 0.911_256;
 
-/// Sigma of the noise under residuals of which up to nearly half may be anything: [`coarse_scale`], then the fixed point of the standard deviation within 2.5 sigma, corrected for the truncation. 0 of nothing.
+/// Sigma of the noise under residuals of which up to nearly half may be anything: [`coarse_scale`], then the fixed
+/// point of the standard deviation within 2.5 sigma, corrected for the truncation. 0 of nothing.
 pub(crate) fn noise_scale(residuals: &[f64]) -> f64 {
     let sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
     let mut sigma = coarse_scale(residuals);

@@ -1,14 +1,15 @@
 //! The signed Sampson distance of a match, and its derivative by the relative pose.
 //!
-//! With `camera_a_from_camera_b = (R, t)`, `E = [t]x R`, directions `a` and `b`, `l = E b`, `l' = E^T a` and `c = a . l`, the distance is
-//! `c / s` with `s^2 = |J_a^T l|^2 + |J_b^T l'|^2`, where `J` takes a change of a *measured* pixel, distortion included, in units of its sigma to the
-//! direction: the first-order distance of the pair to the epipolar variety (Hartley and Zisserman, section 11.4.3). A left
-//! twist `(v, omega)` of the relative pose changes `l` by `v x (R b) + omega x l` and `l'` by `R^T (a x v) + E^T (a x omega)`.
+//! With `camera_a_from_camera_b = (R, t)`, `E = [t]x R`, directions `a` and `b`, `l = E b`, `l' = E^T a` and `c = a .
+//! l`, the distance is `c / s` with `s^2 = |J_a^T l|^2 + |J_b^T l'|^2`, where `J` takes a change of a *measured* pixel,
+//! distortion included, in units of its sigma to the direction: the first-order distance of the pair to the epipolar
+//! variety (Hartley and Zisserman, section 11.4.3). A left twist `(v, omega)` of the relative pose changes `l` by `v x
+//! (R b) + omega x l` and `l'` by `R^T (a x v) + E^T (a x omega)`.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3, Vector6};
 use skclam_geometry::{INTRINSICS, Isometry3, PinholeCamera, Pixel, Point3, essential_matrix};
 
-/// One end of a match: where it looks, and how its pixel turns that.
+/// One endpoint of a match: where it looks, and how its pixel turns that.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bearing {
     /// `(x/z, y/z, 1)`.
@@ -25,7 +26,7 @@ impl Bearing {
         Some(Bearing { direction, by_pixel })
     }
 
-    /// What says nothing: every distance to it is 0.
+    /// No geometry: every distance to it is 0.
     pub(crate) fn blind() -> Self {
         Bearing { direction: Vector3::zeros(), by_pixel: Matrix2::zeros() }
     }

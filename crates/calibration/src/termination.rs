@@ -22,9 +22,9 @@ pub enum StopReason {
         /// What it had to fall below.
         threshold: f64,
     },
-    /// The last step was short beside what the data can tell.
+    /// The last step was short beside the standard deviations.
     SigmasConverged {
-        /// Length of the step in the metric of the information matrix: sigmas, all unknowns together.
+        /// Length of the step in the norm of the normal matrix: sigmas, all unknowns together.
         sigmas: f64,
         /// What it had to fall below.
         threshold: f64,
@@ -49,7 +49,7 @@ pub enum StopReason {
         limit: usize,
     },
     /// No step, however short, lowered the cost.
-    NoDescent {
+    NoProgress {
         /// The damping at which the solver gave up.
         damping: f64,
     },
@@ -85,7 +85,7 @@ impl Termination {
 impl StopReason {
     /// Whether a threshold was reached (and not a limit).
     pub fn is_converged(&self) -> bool {
-        !matches!(self, StopReason::IterationLimit { .. } | StopReason::NoDescent { .. })
+        !matches!(self, StopReason::IterationLimit { .. } | StopReason::NoProgress { .. })
     }
 }
 
@@ -108,7 +108,7 @@ impl fmt::Display for StopReason {
                 write!(f, "converged: a fresh simplex gained {relative_improvement:.1e}, below {threshold:.1e}")
             }
             StopReason::IterationLimit { limit } => write!(f, "not converged: {limit} iterations were not enough"),
-            StopReason::NoDescent { damping } => {
+            StopReason::NoProgress { damping } => {
                 write!(f, "not converged: no step lowered the cost, even at a damping of {damping:.1e}")
             }
         }

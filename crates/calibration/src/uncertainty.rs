@@ -1,4 +1,4 @@
-//! Covariances, and which sigmas may be told.
+//! Covariances, and which sigmas may be reported.
 
 use crate::identifiability::identify;
 use crate::prior::Priors;
@@ -8,15 +8,15 @@ use skclam_rig::{Posture, Rig};
 
 /// A posterior sigma above this fraction of the prior's says that the data were silent.
 const SILENT: f64 = 0.9;
-/// A parameter whose share in an unseen direction is above this is not told.
+/// A parameter whose fraction in an unobservable direction is above this gets no sigma.
 const TIED: f64 = 0.02;
 
-/// Inverse of an information matrix in the units of its parameters. Directions without information are left out (zero variance): their
-/// parameters get no sigma.
-pub(crate) fn covariance(information: &DMatrix<f64>, parameters: &[Parameter]) -> DMatrix<f64> {
+/// Inverse of an normal matrix in the units of its parameters. Directions without information are left out (zero
+/// variance): their parameters get no sigma.
+pub(crate) fn covariance(normal_matrix: &DMatrix<f64>, parameters: &[Parameter]) -> DMatrix<f64> {
     let count = parameters.len();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (information[(i, j)] + information[(j, i)]) * parameters[i].scale() * parameters[j].scale()
+        0.5 * (normal_matrix[(i, j)] + normal_matrix[(j, i)]) * parameters[i].scale() * parameters[j].scale()
     });
     // Eigenvalues are lost below the rounding of the greatest, so equalise the diagonal first.
     let level = DVector::from_fn(count, |k, _| if scaled[(k, k)] > 0.0 { 1.0 / scaled[(k, k)].sqrt() } else { 0.0 });
@@ -27,9 +27,13 @@ pub(crate) fn covariance(information: &DMatrix<f64>, parameters: &[Parameter]) -
         let value = eigen.eigenvalues[k];
         if value > 1e-13 * greatest { 1.0 / value } else { 0.0 }
     });
-    let spread = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
+    let covariance = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
     DMatrix::from_fn(count, count, |i, j| {
-        0.5 * (spread[(i, j)] + spread[(j, i)]) * level[i] * level[j] * parameters[i].scale() * parameters[j].scale()
+        0.5 * (covariance[(i, j)] + covariance[(j, i)])
+            * level[i]
+            * level[j]
+            * parameters[i].scale()
+            * parameters[j].scale()
     })
 }
 
@@ -43,12 +47,12 @@ pub(crate) fn estimates(
     identifiability: &Identifiability,
 ) -> Vec<ParameterEstimate> {
     let start = Model::new(nominal.clone());
-    let tell = |(k, &parameter): (usize, &Parameter)| {
+    let estimate = |(k, &parameter): (usize, &Parameter)| {
         let sigma = covariance[(k, k)].max(0.0).sqrt();
-        let unseen = identifiability.unobservable.iter().find(|direction| {
+        let unobservable = identifiability.unobservable.iter().find(|direction| {
             direction.combination.iter().any(|(p, fraction)| *p == parameter && fraction.abs() > TIED)
         });
-        let note = match (priors[k], unseen) {
+        let note = match (priors[k], unobservable) {
             (None, Some(direction)) => Some(format!("not observable: {}", direction.reason)),
             (Some(prior), direction) if sigma > SILENT * prior => Some(match direction {
                 Some(direction) => format!("held by its prior: {}", direction.reason),
@@ -67,11 +71,11 @@ pub(crate) fn estimates(
             note,
         }
     };
-    parameters.iter().enumerate().map(tell).collect()
+    parameters.iter().enumerate().map(estimate).collect()
 }
 
-/// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the parameters: what is not identifiable, and the parameters with
-/// their sigmas.
+/// From the normal matrix of the data by the parameters (natural units, no priors) and the covariance of the
+/// parameters: what is not identifiable, and the parameters with their sigmas.
 pub(crate) fn describe(
     nominal: &Rig,
     model: &Model,
@@ -98,8 +102,8 @@ mod tests {
             Parameter::Mount(MountComponent::TranslationX),
             Parameter::Intrinsic(Intrinsic::Fx),
         ];
-        let information = DMatrix::from_row_slice(3, 3, &[1e12, 2e9, 1e3, 2e9, 1e8, 1e2, 1e3, 1e2, 1e-2]);
-        let inverse = covariance(&information, &parameters);
-        assert!((&information * &inverse - DMatrix::identity(3, 3)).amax() < 1e-6);
+        let normal_matrix = DMatrix::from_row_slice(3, 3, &[1e12, 2e9, 1e3, 2e9, 1e8, 1e2, 1e3, 1e2, 1e-2]);
+        let inverse = covariance(&normal_matrix, &parameters);
+        assert!((&normal_matrix * &inverse - DMatrix::identity(3, 3)).amax() < 1e-6);
     }
 }

@@ -1,10 +1,10 @@
-//! What a person should hear of, though it is no error.
+//! What a user should know, though it is no error.
 
 use crate::Parameter;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A condition that a person should hear of, with its numbers.
+/// A condition that a user should know of, with its numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
@@ -84,7 +84,8 @@ pub enum Warning {
         /// Sigma of that.
         sigma: f64,
     },
-    /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is free to explain them.
+    /// What does not count as an outlier is far off all the same: matches that contradict each other, or too little is
+    /// free to explain them.
     LargeResiduals {
         /// Sigma of a coordinate in units of what its observation says of itself (px where that is 1).
         sigma: f64,

@@ -1,4 +1,4 @@
-//! Image-free recordings for tests, examples and benchmarks: an HP3J-like arm in a room of random points.
+//! Image-free recordings for tests, examples and benchmarks: an HP3J-like arm amid random points.
 //!
 //! Included by path, not part of the library: an estimator must not know its truth.
 #![allow(dead_code)]
@@ -92,7 +92,7 @@ pub fn joints(index: usize, values: &[f64]) -> Posture {
     Posture::new(index as u64, PostureState::Joints(values.to_vec())).at(Some(index as f64))
 }
 
-/// Random postures whose camera stands inside the cell, within 0.85 m of its middle and above the floor.
+/// Random postures whose camera is inside the cell, within 0.85 m of its middle and above the floor.
 pub fn diverse_postures(rig: &Rig, count: usize, rng: &mut ChaCha8Rng) -> Vec<Posture> {
     let mut postures = Vec::new();
     while postures.len() < count {
@@ -156,7 +156,7 @@ pub fn paper_postures(rig: &Rig) -> Vec<Posture> {
         .collect()
 }
 
-/// Points on the walls, floor and ceiling of a room and on boxes around the arm.
+/// Points on the walls, floor and ceiling of a cell and on boxes around the arm.
 pub fn box_points(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point3> {
     (0..count)
         .map(|_| {
@@ -189,7 +189,7 @@ pub fn half_pixel() -> Sensing {
     Sensing { sigma_px: 0.5, depth_relative: None, outliers: 0.0, keypoints: 400, encoder: 0.0 }
 }
 
-/// Tracks of the points as the true rig sees them. The postures come back as the encoders tell them.
+/// Tracks of the points as the true rig sees them. The postures come back as the encoders report them.
 pub fn record(
     truth: &Rig,
     postures: &[Posture],
@@ -259,7 +259,8 @@ pub fn neighbour_pairs(data: &Correspondences, limit: usize) -> Vec<PairMatches>
         .collect()
 }
 
-/// Matches between `pairs` of postures made afresh (not through tracks), each with its own point in front of both cameras.
+/// Matches between `pairs` of postures made afresh (not through tracks), each with its own point in front of both
+/// cameras.
 pub fn fresh_pairs(
     truth: &Rig,
     postures: &[Posture],
@@ -330,8 +331,8 @@ pub fn record_board(
     (board, observations)
 }
 
-/// Mean distance, metres, between the cameras of two rigs over the postures, after the rigid motion of the base that fits best is
-/// *not* applied: both rigs must share the gauge.
+/// Mean distance, metres, between the cameras of two rigs over the postures, after the rigid motion of the base that
+/// fits best is *not* applied: both rigs must share the gauge.
 pub fn camera_error(truth: &Rig, rig: &Rig, postures: &[Posture]) -> f64 {
     let sum: f64 = postures
         .iter()

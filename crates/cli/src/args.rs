@@ -50,7 +50,8 @@ pub enum Command {
     Map(MapArgs),
     /// Compare a rig with a known true one: errors of parameters and poses.
     Evaluate(EvaluateArgs),
-    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a tracker.
+    /// Measure a rig on a recording that it was not fitted to, beside the data set's own rig; or by points of a
+    /// tracker.
     #[command(
         after_help = "Examples:\n  skclam validate tuesday/ --rig result/rig.toml\n  skclam validate tuesday/ --rig result/ --refit mount\n  \
                             skclam validate --points tracker.csv --rig result/ --nominal cell/rig.toml\n\n\
@@ -75,11 +76,11 @@ pub enum Command {
     /// Make a data set of a recording: ROS 1 and 2 bags, MCAP, RealSense Viewer, TUM RGB-D.
     #[command(
         after_help = "Examples:\n  skclam import capture.mcap --robot ur5e --out cell/\n  skclam import capture.bag --rig rig.toml --out cell/ --moving --every 15\n\n\
-                            A posture is taken where the arm stands still: the sharpest image of each stand, with its depth image.\n\
+                            A posture is taken where the arm stands still: the sharpest image of each stationary interval, with its depth image.\n\
                             Writes rig.toml, postures.csv, color/ and depth/, whole or not at all."
     )]
     Import(ImportArgs),
-    /// Tell what a recording holds; or judge a data set before calibrating: coverage, sharpness, exposure, overlap.
+    /// Summarise a recording; or judge a data set before calibrating: coverage, sharpness, exposure, overlap.
     #[command(after_help = "Examples:\n  skclam inspect capture.mcap\n  skclam inspect cell/")]
     Inspect(InspectArgs),
     /// Turn target poses or joints into the ones to command, for controllers that accept no parameters.
@@ -88,7 +89,8 @@ pub enum Command {
                             Joints in the result go to a controller that takes joints, poses to one that takes poses: not both corrections at once."
     )]
     Compensate(CompensateArgs),
-    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON; the result as MCAP.
+    /// Write the calibrated arm as URDF, kinematics.yaml, static transform, table of corrections and JSON; the result
+    /// as MCAP.
     #[command(
         after_help = "Examples:\n  skclam export result/ --nominal cell/rig.toml --urdf robot.urdf --base-link base_link --tip-link tool0 --diff --out export/\n  skclam export result/ --dataset cell/ --mcap --out export/\n\n\
                             The second writes export/result.mcap for Foxglove and Rerun: images, frames, trajectories, maps and residuals,\n\
@@ -132,23 +134,26 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value = "default")]
     pub preset: PresetArg,
     /// Which parameters are free: auto (what the data can identify), angles (the paper's ten), all, or a list such as
-    /// "angles,mount", "alpha_2,theta_offset_3,fx" or "auto,gears". Groups: arm, lengths, mount, intrinsics, focal, depth, gears, compliance.
+    /// "angles,mount", "alpha_2,theta_offset_3,fx" or "auto,gears". Groups: arm, lengths, mount, intrinsics, focal,
+    /// depth, gears, compliance.
     #[arg(long, value_name = "SET")]
     pub free: Option<String>,
     /// Seed of every random choice.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from priors.
+    /// Leave the depth images out, as if there were none: then hold a length with --free, or the scale comes from
+    /// priors.
     #[arg(long)]
     pub no_depth: bool,
-    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is not looked at.
+    /// Nothing is known of the mount: find it from the images first, with the nominal arm; the rig's own mount is
+    /// ignored.
     #[arg(long)]
     pub find_mount: bool,
     /// Another nominal rig than the data set's rig.toml.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
     pub rig: Option<PathBuf>,
-    /// Options as a JSON file: the `configuration` of an earlier summary.json, or a part of it. --preset, --free and --seed on the
-    /// command line come first.
+    /// Options as a JSON file: the `configuration` of an earlier summary.json, or a part of it. --preset, --free and
+    /// --seed on the command line come first.
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub config: Option<PathBuf>,
     /// The robot's own body.
@@ -159,7 +164,8 @@ pub struct RunArgs {
 /// The robot's own body in the depth images.
 #[derive(Debug, Clone, Args)]
 pub struct SelfFilterArgs {
-    /// The robot's URDF: its collision geometry at each posture (boxes, cylinders, spheres, STL meshes) is kept out of the map.
+    /// The robot's URDF: its collision geometry at each posture (boxes, cylinders, spheres, STL meshes) is kept out of
+    /// the map.
     #[arg(long, value_name = "URDF", value_hint = ValueHint::FilePath)]
     pub self_filter: Option<PathBuf>,
     /// The URDF's link whose frame is the rig's base; by default the URDF's root.
@@ -283,7 +289,8 @@ pub struct SimulateArgs {
     /// Scale of the colour image: 1 is 1920x1080.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub scale: f64,
-    /// Seed of diverse postures, where they shall differ from those of another recording of the same arm; by default --seed.
+    /// Seed of diverse postures, where they shall differ from those of another recording of the same arm; by default
+    /// --seed.
     #[arg(long, value_name = "N")]
     pub posture_seed: Option<u64>,
     /// Also write the data set as a robot would have recorded it (MCAP, ROS 2 messages), to practise `import`.
@@ -336,8 +343,8 @@ pub struct RenderArgs {
     /// A second map, drawn to the right of the first from the same place.
     #[arg(long, value_name = "MAP", value_hint = ValueHint::FilePath)]
     pub beside: Option<PathBuf>,
-    /// The picture, PNG or JPEG.
-    #[arg(long, short, value_name = "PICTURE", value_hint = ValueHint::FilePath)]
+    /// The image, PNG or JPEG.
+    #[arg(long, short, value_name = "IMAGE", value_hint = ValueHint::FilePath)]
     pub out: PathBuf,
     /// From where.
     #[arg(long, value_enum, default_value = "perspective", conflicts_with_all = ["eye", "target"])]
@@ -351,10 +358,10 @@ pub struct RenderArgs {
     /// Horizontal field of view with --eye, degrees.
     #[arg(long, value_name = "DEG", default_value_t = 60.0)]
     pub hfov_deg: f64,
-    /// Width of the picture of one map, pixels.
+    /// Width of the image of one map, pixels.
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub width: u32,
-    /// Height of the picture, pixels.
+    /// Height of the image, pixels.
     #[arg(long, value_name = "PX", default_value_t = 800, value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub height: u32,
     /// Radius of a point, millimetres.

@@ -17,8 +17,8 @@ static STOP: AtomicBool = AtomicBool::new(false);
 /// How long a signal waits for results that are being put in their place, and for the removal of unfinished ones.
 const ABANDON_TIMEOUT: Duration = Duration::from_millis(700);
 
-/// Lets Ctrl-C, SIGTERM and the end of the terminal end the program at once, whatever it does: what it has under construction
-/// is removed, and the exit code is 128 and the signal's number.
+/// Lets Ctrl-C, SIGTERM and the end of the terminal end the program at once, whatever it does: what it has under
+/// construction is removed, and the exit code is 128 and the signal's number.
 pub fn watch_for_interrupt() {
     // Whoever started the program with nohup wants it to outlive the terminal.
     let signals = if hangup_is_ignored() { &[SIGINT, SIGTERM][..] } else { &[SIGINT, SIGTERM, SIGHUP][..] };
@@ -135,7 +135,7 @@ impl Progress for Screen {
     }
 }
 
-/// The largest resident set of this process so far, MiB; `None` where the system does not tell.
+/// The largest resident set of this process so far, MiB; `None` where the system does not say.
 pub fn peak_memory_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,5 +1,5 @@
-//! What people read: tables on standard output, warnings on standard error. Nothing that a terminal would obey gets through,
-//! wherever a text came from; and a stream that cannot be written to is an error of the command and no panic.
+//! What people read: tables on standard output, warnings on standard error. Nothing that a terminal would obey gets
+//! through, wherever a text came from; and a stream that cannot be written to is an error of the command and no panic.
 
 use anyhow::{Context, Result};
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
@@ -58,7 +58,7 @@ pub fn end() -> Result<()> {
     }
 }
 
-/// A line on standard error. Where that is closed, there is nobody to tell.
+/// A line on standard error. Where that is closed, nobody reads it.
 pub fn remark(text: Arguments<'_>) {
     let _ = writeln!(std::io::stderr(), "{}", on_screen(&text.to_string()));
 }
@@ -69,20 +69,20 @@ const ERROR_LINES: usize = 30;
 
 /// The error that ends the program.
 pub fn error<E: std::fmt::Display>(chain: impl IntoIterator<Item = E>) {
-    let told = told(chain);
-    let lines: Vec<_> = told.lines().take(ERROR_LINES).map(|line| shortened(line, ERROR_CHARS)).collect();
+    let joined = joined(chain);
+    let lines: Vec<_> = joined.lines().take(ERROR_LINES).map(|line| shortened(line, ERROR_CHARS)).collect();
     remark(format_args!("error: {}", lines.join("\n")));
 }
 
-/// Begins a folder of results, and tells what commands that were killed had left beside it.
+/// Begins a folder of results, and reports what commands that were killed had left beside it.
 pub fn staged(quiet: bool, out: &Path, contents: Contents) -> Result<StagedFolder> {
     let staged = StagedFolder::new(out, contents)?;
-    let told: Vec<String> = staged
+    let joined: Vec<String> = staged
         .cleaned()
         .iter()
         .map(|folder| format!("{} was left by a command that was killed, and is removed", folder.display()))
         .collect();
-    warn(quiet, &told);
+    warn(quiet, &joined);
     Ok(staged)
 }
 
@@ -100,16 +100,16 @@ pub fn table(header: &[&str]) -> Table {
 }
 
 /// An error and its causes in one line, each said once: many messages hold that of their cause already.
-pub fn told<E: std::fmt::Display>(chain: impl IntoIterator<Item = E>) -> String {
-    chain.into_iter().fold(String::new(), |mut told, error| {
+pub fn joined<E: std::fmt::Display>(chain: impl IntoIterator<Item = E>) -> String {
+    chain.into_iter().fold(String::new(), |mut joined, error| {
         let error = error.to_string();
-        if !told.contains(error.trim()) {
-            if !told.is_empty() {
-                told += ": ";
+        if !joined.contains(error.trim()) {
+            if !joined.is_empty() {
+                joined += ": ";
             }
-            told += error.trim_end();
+            joined += error.trim_end();
         }
-        told
+        joined
     })
 }
 
@@ -124,7 +124,7 @@ pub fn warn(quiet: bool, warnings: &[String]) {
 }
 
 /// Warnings, of which the last ones are left to the file that holds all of them.
-pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
+pub fn warn_of(quiet: bool, warnings: &[String], listed_in: &str) {
     const SHOWN: usize = 12;
     if quiet {
         return;
@@ -133,7 +133,7 @@ pub fn warn_of(quiet: bool, warnings: &[String], stand_in: &str) {
         note!("warning: {}", shortened(&shown(warning), ERROR_CHARS));
     }
     if warnings.len() > SHOWN {
-        note!("warning: ... and {} more; all of them stand in {stand_in}", warnings.len() - SHOWN);
+        note!("warning: ... and {} more; all of them are in {listed_in}", warnings.len() - SHOWN);
     }
 }
 
@@ -144,8 +144,8 @@ mod tests {
     #[test]
     fn each_cause_is_said_once() {
         let file = "cell/a.jpg: not found";
-        assert_eq!(told(["calibration: too few", "too few"]), "calibration: too few");
-        assert_eq!(told(["out.json", file, "not found\n", "os error 2"]), format!("out.json: {file}: os error 2"));
+        assert_eq!(joined(["calibration: too few", "too few"]), "calibration: too few");
+        assert_eq!(joined(["out.json", file, "not found\n", "os error 2"]), format!("out.json: {file}: os error 2"));
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! What a stranger's folder can be wrong in: each case a clear error or a named warning, and never a half-written result.
+//! What a stranger's folder can be wrong in: each case a clear error or a named warning, and never a half-written
+//! result.
 
 mod support;
 
@@ -141,8 +142,9 @@ fn images_of_another_place_than_the_joints_say() {
     let output = skclam(&["run", utf8(copy.path()), "--free", "angles", "--out", utf8(&out)]);
     let said = text(&output.stderr) + &text(&output.stdout);
     // Refused for lack of matches, or done with a verdict that warns; never praised.
-    let told = said.contains("enough matches") || said.contains("matches are needed") || said.contains("DO NOT TRUST");
-    assert!(told, "{said}");
+    let refused =
+        said.contains("enough matches") || said.contains("matches are needed") || said.contains("DO NOT TRUST");
+    assert!(refused, "{said}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The commands of README and book are run as they stand there, and the reference of commands is what the program says of itself.
+//! The commands of README and book are run verbatim, and the reference of commands is what the program says of itself.
 
 mod support;
 
@@ -11,7 +11,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
 }
 
-/// What stands in the blocks that are marked `sh`, in their order.
+/// What is in the blocks that are marked `sh`, in their order.
 fn commands(page: &str) -> String {
     let markdown = fs::read_to_string(root().join(page)).unwrap_or_else(|error| panic!("{page}: {error}"));
     let mut lines = markdown.lines();
@@ -23,8 +23,8 @@ fn commands(page: &str) -> String {
                 script.push('\n');
             }
         }
-        // A command that nobody runs grows old unseen.
-        assert!(!line.starts_with("    skclam "), "{page}: \"{line}\" stands outside a block marked sh");
+        // A command that nobody runs goes stale unnoticed.
+        assert!(!line.starts_with("    skclam "), "{page}: \"{line}\" is outside a block marked sh");
     }
     script
 }

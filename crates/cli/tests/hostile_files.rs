@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use support::{edit, fail, skclam, small_copy, succeed, text, utf8};
 
 /// Waits for the end of a program; kills one that does not come to it.
-fn ended(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
-    let deadline = Instant::now() + patience;
+fn ended(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
+    let deadline = Instant::now() + limit;
     while Instant::now() < deadline {
         if let Some(status) = child.try_wait().expect("a status") {
             return Some(status);
@@ -171,7 +171,7 @@ fn a_full_standard_output_is_an_error_and_no_panic() {
         let message = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
         assert!(message.contains("error: standard output") && !message.contains("panicked"), "{message}");
-        // With both closed there is nobody to tell.
+        // With both closed nobody reads it.
         let full = || fs::File::options().write(true).open("/dev/full").unwrap();
         let status =
             Command::new(env!("CARGO_BIN_EXE_skclam")).args(&arguments).stdout(full()).stderr(full()).status().unwrap();
@@ -238,7 +238,7 @@ fn what_cannot_be_replaced_is_said_before_the_work() {
         let begin = Instant::now();
         let message = fail(&["run", utf8(copy.path()), "--quiet", "--out", utf8(&path(name))]);
         assert!(message.contains(why) && message.contains(name), "{message}");
-        assert!(begin.elapsed() < Duration::from_secs(2), "{name} was told after the work");
+        assert!(begin.elapsed() < Duration::from_secs(2), "{name} was reported after the work");
     }
     for name in ["rig.toml", "map.ply", "report.html"] {
         assert_eq!(fs::read_to_string(path("half").join(name)).unwrap(), "OLD");
@@ -297,8 +297,8 @@ fn an_import_over_another_leaves_nothing_of_it_beside_the_new_one() {
 }
 
 #[test]
-fn a_slip_in_the_data_is_told_as_one() {
-    let told = |from: &str, to: &str, expected: &[&str]| {
+fn a_slip_in_the_data_is_reported_as_one() {
+    let refused = |from: &str, to: &str, expected: &[&str]| {
         let copy = small_copy(12);
         edit(copy.path(), "rig.toml", from, to);
         let out = copy.path().join("out");
@@ -309,10 +309,10 @@ fn a_slip_in_the_data_is_told_as_one() {
         }
         assert!(!message.contains("-inf") && message.len() < 1200, "{message}");
     };
-    told("unit_mm = 1.0", "unit_mm = 1000.0", &["depth.unit_mm", "0.1 to 5"]);
-    told("fx = ", "fx = 1e-300 # ", &["color.fx", "field of view"]);
-    told("a_mm = ", "a_mm = 1e300 # ", &["a_mm", "no arm is that long"]);
-    told("name = \"L\"", "name = \"S\"", &["\"S\" is the name of two joints"]);
+    refused("unit_mm = 1.0", "unit_mm = 1000.0", &["depth.unit_mm", "0.1 to 5"]);
+    refused("fx = ", "fx = 1e-300 # ", &["color.fx", "field of view"]);
+    refused("a_mm = ", "a_mm = 1e300 # ", &["a_mm", "no arm is that long"]);
+    refused("name = \"L\"", "name = \"S\"", &["\"S\" is the name of two joints"]);
 }
 
 #[test]
@@ -343,7 +343,7 @@ fn a_colour_profile_is_not_unpacked() {
     assert!(begin.elapsed() < Duration::from_secs(20));
 }
 
-/// A PNG with a colour profile whose bytes are no stream that can be unpacked: who tries is told by an error.
+/// A PNG with a colour profile whose bytes are no stream that can be unpacked: who tries is refused by an error.
 fn with_profile(png: &[u8]) -> Vec<u8> {
     let (before, after) = png.split_at(33);
     let data = [b"bomb\0\0".as_slice(), &[0xFF; 64]].concat();

@@ -35,7 +35,7 @@ fn refused(arguments: &[&str], out: &Path, expected: &[&str]) {
 
 // ----- import and inspect
 
-/// A folder in TUM's layout: the arm stands at each posture for 3 s, three images and depth images a stand, and moves
+/// A folder in TUM's layout: the arm rests at each posture for 3 s, three images and depth images each time, and moves
 /// for 1 s. Joints lie beside it as CSV, 50 a second.
 fn tum_folder(dataset: &Dataset, folder: &Path) {
     let (mut rgb, mut depth) = ("# time file\n".to_owned(), "# time file\n".to_owned());
@@ -123,7 +123,7 @@ fn a_tum_folder_becomes_a_data_set_that_calibrates() {
     expectation.free = Free::Angles;
     expectation.pixel_sigma = found["reprojection_after"]["rms_px"].as_f64().unwrap();
     expectation.depth_sigma_per_m2 = found["depth_sigma_per_m2"].as_f64().unwrap();
-    expectation.joint_error_deg = found["joint_deviation_sigma_deg"].as_f64().unwrap();
+    expectation.joint_error_deg = found["joint_error_sigma_deg"].as_f64().unwrap();
     let expected = inspect(&imported, &options, &Silent).unwrap().expected.unwrap().parameters;
     let reported = found["parameters"].as_array().unwrap();
     assert_eq!(expected.len(), reported.len());
@@ -202,15 +202,15 @@ fn a_recording_of_the_realsense_viewer_becomes_a_data_set() {
         let log = ["--joints", utf8(&log), "--joint-offset-s", "100"];
         succeed(&[&importing[..], &log].concat());
         let dataset = Dataset::open(&out).unwrap();
-        assert_eq!(dataset.len(), 3, "{name}: three stands");
-        for (stand, record) in dataset.records.iter().enumerate() {
+        assert_eq!(dataset.len(), 3, "{name}: three stationary intervals");
+        for (interval, record) in dataset.records.iter().enumerate() {
             let PostureState::Joints(values) = &record.posture.state else { panic!("joints expected") };
             for (joint, value) in values.iter().enumerate() {
-                let wanted = 10.0 * (joint as f64 + 1.0) + 5.0 * stand as f64;
-                assert!((value.to_degrees() - wanted).abs() < 1e-6, "{name}, stand {stand}: {value}");
+                let wanted = 10.0 * (joint as f64 + 1.0) + 5.0 * interval as f64;
+                assert!((value.to_degrees() - wanted).abs() < 1e-6, "{name}, interval {interval}: {value}");
             }
-            assert_eq!(dataset.color(stand).unwrap().width(), 64);
-            let depth = dataset.depth(stand).unwrap().unwrap();
+            assert_eq!(dataset.color(interval).unwrap().width(), 64);
+            let depth = dataset.depth(interval).unwrap().unwrap();
             // Tenths of a millimetre, by the image itself or by the sensor's option.
             let (low, high) = depth.as_slice().iter().fold((9f32, 0f32), |(low, high), z| (low.min(*z), high.max(*z)));
             assert!((0.199..0.3).contains(&low) && (3.8..4.0).contains(&high), "{name}: {low} to {high} m");
@@ -251,7 +251,7 @@ fn targets_come_back_as_commands() {
     let lines: Vec<&str> = commands.lines().collect();
     assert_eq!(lines.len(), 3);
     assert!(lines[0].starts_with("name,q1_deg") && lines[1].starts_with("first,") && lines[2].starts_with("second,"));
-    // The true arm, given the commands, stands where the nominal arm would have stood.
+    // The true arm, given the commands, is where the nominal arm would have been.
     let arm = |path: &Path| Rig::read(path).unwrap().robot.unwrap();
     let wanted = [[10.0, 20.0, -30.0, 5.0, 40.0, 0.0], [-20.0, 10.0, -10.0, 0.0, 60.0, 15.0]];
     for (line, wanted) in lines[1..].iter().zip(wanted) {
@@ -401,7 +401,7 @@ fn a_result_as_a_recording_is_read_by_independent_libraries() {
             assert!((read["stamps"][index].as_f64().unwrap() - wanted.timestamp_s).abs() < 1e-6);
         }
     }
-    // The maps, point for point as far as sums and ends tell; the colours byte for byte.
+    // The maps, point for point as far as sums and endpoints show; the colours byte for byte.
     for (name, file) in [("calibrated", "map.ply"), ("nominal", "map_nominal.ply")] {
         let bytes = fs::read(result.join(file)).unwrap();
         let cloud = read_ply(&bytes[..]).unwrap().points().clone();

@@ -1,5 +1,5 @@
-//! The report and the comparison: the numbers of the page are those of summary.json, the page can be built again, and nothing from
-//! outside becomes markup.
+//! The report and the comparison: the numbers of the page are those of summary.json, the page can be built again, and
+//! nothing from outside becomes markup.
 
 mod support;
 
@@ -63,7 +63,9 @@ fn the_page_shows_the_summary_and_is_built_again_from_the_folder() {
         serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
     let numbers = check_numbers(&page, &summary);
     assert!(numbers > 120, "only {numbers} numbers");
-    for needed in ["/calibration/epipolar_after/median_px", "/map/agreement_calibrated/median_mm", "/peak_memory_mib"] {
+    for needed in
+        ["/calibration/epipolar_after/median_px", "/map/depth_consistency_calibrated/median_mm", "/peak_memory_mib"]
+    {
         assert!(page.contains(&format!("data-from=\"{needed}\"")), "{needed} is not shown");
     }
     let parameters = summary["calibration"]["parameters"].as_array().unwrap().len();
@@ -106,7 +108,7 @@ fn names_from_outside_do_not_become_markup() {
 }
 
 #[test]
-fn results_stand_side_by_side_within_80_columns() {
+fn results_are_compared_within_80_columns() {
     let folder = tempfile::tempdir().unwrap();
     let dataset = small_copy(6);
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
@@ -115,7 +117,7 @@ fn results_stand_side_by_side_within_80_columns() {
     assert!(printed.contains("alpha_2"));
     let page = folder.path().join("compare.html");
     let table = succeed(&["compare", utf8(&first), utf8(&second), "--out", utf8(&page)]);
-    assert!(table.contains("alpha_2") && table.contains("line distance, median"), "{table}");
+    assert!(table.contains("alpha_2") && table.contains("epipolar distance, median"), "{table}");
     for line in table.lines().chain(printed.lines()).filter(|line| !line.contains(utf8(folder.path()))) {
         if line.starts_with(['┌', '│', '└', '╞', '├']) {
             assert!(line.chars().count() <= 80, "{line}");
@@ -147,7 +149,7 @@ fn damaged_results_are_answered() {
         ("\"format\":2", "\"format\":99", "format 99"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"AAAA", "map.calibrated_m"),
         ("\"calibrated_m\":\"", "\"calibrated_m\":\"!", "base64"),
-        ("\"ends\":", "\"ends\":-", "invalid"),
+        ("\"endpoints\":", "\"endpoints\":-", "invalid"),
     ] {
         assert!(text.contains(from), "{from}");
         fs::write(&data, text.replacen(from, to, 1)).unwrap();

@@ -33,7 +33,7 @@ fn a_run_leaves_its_four_files_and_they_can_be_used_again() {
     assert!(held_out("calibrated") < 0.2 * held_out("mount_only"), "{}", summary["held_out"]);
     assert_eq!(summary["held_out"]["folds"].as_array().unwrap().len(), 6);
     assert_eq!(summary["status"], "good");
-    // What the camera's position is told to be off by is what the calibration moved it by.
+    // The reported error of the camera's position is what the calibration moved it by.
     assert!(number(&summary, "/recorded_poses/camera_change_mm/mean") > 5.0);
     assert!(number(&summary, "/workspace_poses/camera_sigma_mm/max") < 0.2);
     let lines = |name: &str| fs::read_to_string(out.join(name)).unwrap().lines().count();
@@ -122,7 +122,7 @@ fn a_mount_that_nobody_knows_is_found() {
 }
 
 #[test]
-fn the_papers_method_beats_the_papers_figures() {
+fn the_papers_method_beats_the_papers_results() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("result");
     succeed(&["calibrate", utf8(cell()), "--preset", "paper", "--quiet", "--out", utf8(&out)]);

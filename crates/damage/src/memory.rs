@@ -1,5 +1,5 @@
 //! What may be allocated: every allocation of a test that links this crate is counted and, beyond the limit, refused,
-//! which ends the process. Pages that nobody touched count too: a reader that believes a length is caught on any machine.
+//! which ends the process. Pages that nobody touched count too: a reader that trusts a length is caught on any machine.
 
 use cap::Cap;
 use std::alloc::System;
@@ -16,10 +16,10 @@ pub(crate) fn allow_more(bytes: usize) {
 pub(crate) fn allow_all_to_panics() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
-        let told = std::panic::take_hook();
+        let previous = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |panic| {
             allow_all();
-            told(panic);
+            previous(panic);
         }));
     });
 }
@@ -34,7 +34,7 @@ pub(crate) fn peak_allocated_mib() -> f64 {
     ALLOCATOR.max_allocated() as f64 / f64::from(1 << 20)
 }
 
-/// The largest resident set of this process, MiB: with C libraries and stacks. `None` where the system does not tell.
+/// The largest resident set of this process, MiB: with C libraries and stacks. `None` where the system does not say.
 pub fn peak_resident_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,5 +1,6 @@
-//! Damage to texts, by what they are made of: numbers give way to extreme ones, words to other words of the text (links of
-//! a URDF then hang on others, keys of a TOML stand twice), lines and blocks are lost, moved and repeated, brackets nest.
+//! Damage to texts, by what they are made of: numbers give way to extreme ones, words to other words of the text (links
+//! of a URDF then hang on others, keys of a TOML are duplicated), lines and blocks are lost, moved and repeated,
+//! brackets nest.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -1,4 +1,5 @@
-//! Which cause a text names. The program's words are read by their key words, so that a table can say whether the right cause comes first.
+//! Which cause a text names. The program's words are read by their key words, so that a table can say whether the right
+//! cause comes first.
 
 use anyhow::{Result, bail};
 use serde::{Deserialize, Serialize};
@@ -31,7 +32,7 @@ pub enum Cause {
     PostureNoise,
 }
 
-/// Causes and the words by which a statement names them. Longer phrases stand first where one contains another.
+/// Causes and the words by which a statement names them. Longer phrases come first where one contains another.
 const WORDS: [(Cause, &[&str]); 18] = [
     (Cause::FocalLength, &["focal", "fx ", "fy "]),
     (Cause::PrincipalPoint, &["principal point", "optical centre", "image centre", "cx ", "cy "]),
@@ -49,7 +50,7 @@ const WORDS: [(Cause, &[&str]); 18] = [
         &[
             "extrinsic",
             "color_from_depth",
-            "depth camera stands",
+            "depth camera is mounted",
             "colour and depth",
             "depth to colour",
             "depth_x ",
@@ -84,17 +85,15 @@ const WORDS: [(Cause, &[&str]); 18] = [
         ],
     ),
     (Cause::ImageShift, &["shifted by", "rows of postures.csv", "row of postures.csv", "one posture late", "one row"]),
-    (
-        Cause::MountFarOff,
-        &["mount was found", "mount is far off", "mount far off", "find-mount", "mount stood", "nominal mount was"],
-    ),
+    (Cause::MountFarOff, &["mount was found", "mount is far off", "mount far off", "find-mount", "nominal mount was"]),
     (
         Cause::FewPostures,
         &["few postures", "more postures", "postures are too few", "postures are few", "too few postures"],
     ),
 ];
 
-/// The cause that an entry of the summary's list names by its type; `None` for one that blames nothing which these rows make wrong (a parameter of the arm).
+/// The cause that an entry of the summary's list names by its type; `None` for one that blames nothing which these rows
+/// make wrong (a parameter of the arm).
 ///
 /// # Errors
 /// A type that is not known.
@@ -138,7 +137,8 @@ fn of_gross(kind: &str, entry: &Value) -> Result<Cause> {
     })
 }
 
-/// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?") is no naming.
+/// Causes that a statement names, in the order of their first mention. What it only asks ("Are the intrinsics right?")
+/// is no naming.
 pub fn named_in(statement: &str) -> Vec<Cause> {
     let text = assertions(statement).to_lowercase();
     let first = |words: &[&str]| words.iter().filter_map(|word| position(&text, word)).min();

@@ -63,8 +63,9 @@ impl Cell {
         self.dataset.records.iter().map(|record| record.posture.clone()).collect()
     }
 
-    /// The same with a nominal rig whose cameras are wrong by normal errors of the size that such devices are known for: focal length 0.2 %, centre 0.15 %
-    /// of the image's width, k1 0.005, depth scale 0.3 %, depth offset 1 mm, depth camera beside the colour camera 1 mm and 0.1 deg.
+    /// The same with a nominal rig whose cameras are wrong by normal errors of the size that such devices are known
+    /// for: focal length 0.2 %, centre 0.15 % of the image's width, k1 0.005, depth scale 0.3 %, depth offset 1 mm,
+    /// depth camera beside the colour camera 1 mm and 0.1 deg.
     pub fn with_instrument_errors(mut self, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut normal = |sigma: f64| {

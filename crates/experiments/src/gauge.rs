@@ -1,9 +1,10 @@
-//! A calibration's parameters beside the truth, up to what no image can tell.
+//! A calibration's parameters beside the truth, up to the gauge.
 //!
-//! The true arm of a virtual cell is wrong in more numbers than are free: what the base's gauge and the last link carry is taken over by others.
-//! The truth in the estimator's own words is the set of free values whose camera poses are the true ones, up to a turn about and a
-//! shift along the first axis. It is found by Gauss-Newton from the estimate on; of combinations that move no camera the one nearest to the estimate
-//! is taken, and they are left out of what is judged.
+//! The true arm of a virtual cell is wrong in more numbers than are free: what the base's gauge and the last link carry
+//! is taken over by others. The truth in the estimator's parameters is the set of free values whose camera poses are
+//! the true ones, up to a turn about and a shift along the first axis. It is found by Gauss-Newton from the estimate
+//! on; of combinations that move no camera the one nearest to the estimate is taken, and they are left out of what is
+//! judged.
 
 use crate::true_poses::TruePoses;
 use anyhow::{Context, Result, ensure};
@@ -54,13 +55,13 @@ pub struct Score {
     pub all: Nees,
 }
 
-/// Singular values below this part of the largest belong to combinations that move no camera. Parameters are in their natural scales, and
-/// derivatives are differences, good to about 1e-9.
-const UNSEEN: f64 = 1e-6;
+/// Singular values below this part of the largest belong to combinations that move no camera. Parameters are in their
+/// natural scales, and derivatives are differences, good to about 1e-9.
+const UNOBSERVABLE: f64 = 1e-6;
 /// Radians weigh as this many metres.
 const METRES_PER_RADIAN: f64 = 0.3;
-/// A parameter is identifiable by itself when no more than this part of it (squared) lies in unseen combinations.
-const UNSEEN_FRACTION: f64 = 0.01;
+/// A parameter is identifiable by itself when no more than this part of it (squared) lies in unobservable combinations.
+const UNOBSERVABLE_FRACTION: f64 = 0.01;
 
 /// Judges a calibration from `nominal` by the true rig, whose cameras at some postures are `truth_at`.
 ///
@@ -110,7 +111,7 @@ pub fn score(nominal: &Rig, truth: &Rig, calibration: &Calibration, truth_at: &T
             name: parameter.to_string(),
             error: error[k] * unit,
             sigma: scaled[(k, k)].max(0.0).sqrt() * unit,
-            identifiable: 1.0 - basis.row(k).norm_squared() < UNSEEN_FRACTION,
+            identifiable: 1.0 - basis.row(k).norm_squared() < UNOBSERVABLE_FRACTION,
             moves_camera: parameter.moves_camera(),
         }
     });
@@ -138,8 +139,8 @@ fn pick(parameters: &[Parameter], at: &[usize]) -> Vec<Parameter> {
     at.iter().map(|&k| parameters[k]).collect()
 }
 
-/// The model nearest to `estimate` whose cameras are the true ones up to the base's gauge, and an orthonormal basis (in the parameters'
-/// natural scales) of the combinations that move cameras otherwise than that gauge.
+/// The model nearest to `estimate` whose cameras are the true ones up to the base's gauge, and an orthonormal basis (in
+/// the parameters' natural scales) of the combinations that move cameras otherwise than that gauge.
 fn expressed(estimate: &Model, parameters: &[Parameter], truth: &TruePoses) -> Result<(Model, DMatrix<f64>)> {
     const ROUNDS: usize = 12;
     let mut model = estimate.clone();
@@ -148,7 +149,7 @@ fn expressed(estimate: &Model, parameters: &[Parameter], truth: &TruePoses) -> R
         let system = System::at(&model, gauge, parameters, truth)?;
         let svd = system.jacobian.clone().svd(true, true);
         let step = svd
-            .solve(&system.residual, UNSEEN * svd.singular_values.max())
+            .solve(&system.residual, UNOBSERVABLE * svd.singular_values.max())
             .map_err(|problem| anyhow::anyhow!("the truth cannot be expressed: {problem}"))?;
         if step.amax() < 1e-7 || round == ROUNDS {
             let left = system.residual.amax();
@@ -170,14 +171,15 @@ fn seen_combinations(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     let own = jacobian.columns(0, count).into_owned();
     let own = &own - &gauge * (gauge.transpose() * &own);
     let svd = own.svd(false, true);
-    let limit = UNSEEN * svd.singular_values.max();
+    let limit = UNOBSERVABLE * svd.singular_values.max();
     let v_t = svd.v_t.unwrap_or_else(|| DMatrix::zeros(0, count));
     let rows: Vec<_> =
         (0..v_t.nrows()).filter(|&k| svd.singular_values[k] > limit).map(|k| v_t.row(k).transpose()).collect();
     DMatrix::from_columns(&rows)
 }
 
-/// Differences between a model's cameras and the true ones, and their derivatives by parameters (in natural scales) and gauge.
+/// Differences between a model's cameras and the true ones, and their derivatives by parameters (in natural scales) and
+/// gauge.
 struct System {
     residual: DVector<f64>,
     jacobian: DMatrix<f64>,
@@ -207,8 +209,8 @@ impl System {
     }
 }
 
-/// True less found camera poses in the found cameras' frames, metres and weighted radians, six a posture. `gauge`: the turn about and the shift along
-/// the first axis.
+/// True less found camera poses in the found cameras' frames, metres and weighted radians, six a posture. `gauge`: the
+/// turn about and the shift along the first axis.
 fn differences(model: &Model, gauge: [f64; 2], truth: &TruePoses) -> Result<DVector<f64>> {
     let robot = model.rig.robot.as_ref().context("no arm")?;
     let Some(PostureState::Joints(joints)) = truth.postures.first().map(|posture| &posture.state) else {
@@ -266,7 +268,8 @@ mod tests {
         let all = Free::All.candidates(&nominal, true, false).unwrap();
         parameters.extend(all.into_iter().filter(|p| p.moves_camera() && !parameters.contains(p)).collect::<Vec<_>>());
         let (_, seen) = expressed(&Model::new(nominal), &parameters, &poses).unwrap();
-        // alpha_1 and a_1 move the base otherwise than about and along its first axis: poses see that, whatever images do.
+        // alpha_1 and a_1 move the base otherwise than about and along its first axis: poses see that, whatever images
+        // do.
         assert!(parameters.len() > count + 2, "theta_offset_1, d_1 and the last joint's are among them");
         assert_eq!((seen.nrows(), seen.ncols()), (parameters.len(), count + 2));
     }

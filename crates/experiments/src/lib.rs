@@ -1,7 +1,9 @@
-//! Experiments that judge what SKCLAM says of itself: virtual cells whose truth is known, and what a run claims of them.
+//! Experiments that judge what SKCLAM says of itself: virtual cells whose truth is known, and what a run claims of
+//! them.
 //!
-//! Each experiment is a command of this crate's program (`cargo run --release -p skclam-experiments -- EXPERIMENT --help`) that prints Markdown tables as its rows finish; the tables are kept, dated, under
-//! `benchmarks/truth/`. What an experiment needs of a run passes through one module, [`measured`].
+//! Each experiment is a command of this crate's program (`cargo run --release -p skclam-experiments -- EXPERIMENT
+//! --help`) that prints Markdown tables as its rows finish; the tables are kept, dated, under `benchmarks/truth/`. What
+//! an experiment needs of a run passes through one module, [`measured`].
 //!
 //! | experiment | question |
 //! | --- | --- |

@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use skclam_experiments::experiments::{boards_and_ruler, flange_poses, misspecification, real_arm, whole_pipeline};
 
-/// Experiments that hold what a run claims against the truth. Tables are printed as Markdown, row by row.
+/// Experiments that compare what a run claims with the truth. Tables are printed as Markdown, row by row.
 #[derive(Parser)]
 struct Arguments {
     #[command(subcommand)]

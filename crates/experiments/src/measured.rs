@@ -1,7 +1,7 @@
 //! One run beside its truth: the only module that reads what a run says.
 //!
-//! Numbers of the estimate come from [`Outcome`]; what a person is shown (status, first sentence, causes) from the summary as JSON, where keys are
-//! looked up by name and a missing one is an error.
+//! Numbers of the estimate come from [`Outcome`]; what a person is shown (status, first sentence, causes) from the
+//! summary as JSON, where keys are looked up by name and a missing one is an error.
 
 use crate::causes::{Cause, named, of_entry};
 use crate::gauge::{Score, score};
@@ -15,7 +15,7 @@ use skclam::pipeline::{self, Config, Outcome};
 use skclam::progress::Silent;
 use skclam::rig::{Posture, Rig};
 
-/// The traffic light.
+/// The status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Status {
     /// Use it.
@@ -35,7 +35,8 @@ pub struct Compared {
     pub truth: CameraError,
     /// Of the nominal rig, the same.
     pub nominal: CameraError,
-    /// Of the answer, RMS of positions after the best rigid motion of the base, mm: what a figure "with the base frame fitted" speaks of.
+    /// Of the answer, RMS of positions after the best rigid motion of the base, mm: what a value "with the base frame
+    /// fitted" means.
     pub aligned_mm: f64,
     /// Root of the mean claimed variance; `None` where the estimator claims nothing.
     pub claimed: Option<CameraError>,
@@ -48,14 +49,15 @@ impl Compared {
     }
 }
 
-/// What a run is told and shown as.
+/// What a run is given and shown as.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shown {
-    /// The traffic light.
+    /// The status.
     pub status: Status,
     /// The first sentence, or the error's text.
     pub sentence: String,
-    /// What the first sentence claims of the camera's position over the recorded postures, mm: with the base frame fitted, or (older versions) the mean sigma.
+    /// What the first sentence claims of the camera's position over the recorded postures, mm: with the base frame
+    /// fitted, or (older versions) the mean sigma.
     pub sentence_sigma_mm: Option<f64>,
     /// Mean standard deviation of the camera's position over the recorded postures, mm: what `inspect` predicts.
     pub camera_sigma_mm: Option<f64>,
@@ -76,7 +78,7 @@ pub struct Measured {
     pub workspace: Option<Compared>,
     /// What a person sees.
     pub shown: Shown,
-    /// By how much camera positions over the workspace are too far apart, percent.
+    /// Scale error of camera positions over the workspace, percent.
     pub scale_error_percent: Option<f64>,
     /// CPU seconds of the run over all threads.
     pub seconds: f64,
@@ -93,7 +95,8 @@ pub fn run_default(dataset: &Dataset) -> Result<Outcome> {
     Ok(pipeline::run(dataset, &Config::default(), &Silent)?)
 }
 
-/// Measures an outcome. `recorded`: what the rig should say at the recording's postures. `truth`: the true rig, for the workspace.
+/// Measures an outcome. `recorded`: what the rig should say at the recording's postures. `truth`: the true rig, for the
+/// workspace.
 ///
 /// # Errors
 /// Postures that do not belong to the rig, a summary without the keys that are read.
@@ -172,7 +175,7 @@ pub fn claimed(nominal: &Rig, outcome: &Outcome, postures: &[Posture]) -> Result
 pub fn shown(summary: &Value) -> Result<Shown> {
     let sentence = first(summary, &["/verdict/sentence", "/verdict"])?;
     let sentence = sentence.as_str().map_or_else(|| sentence.to_string(), str::to_owned);
-    let status = first(summary, &["/status", "/status"])?;
+    let status = first(summary, &["/status"])?;
     let status = match status.as_str().unwrap_or_default() {
         "good" | "green" | "use" => Status::Green,
         "caution" | "amber" => Status::Amber,
@@ -204,9 +207,9 @@ pub fn shown(summary: &Value) -> Result<Shown> {
 fn statements(summary: &Value, sentence: &str) -> Result<Vec<String>> {
     let list = |key: &str| summary.pointer(key).and_then(Value::as_array).cloned();
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let checks = list("/checks").or_else(|| list("/checks")).context("the summary has neither checks nor reasons")?;
+    let checks = list("/checks").context("the summary has no checks")?;
     let good = |check: &&Value| {
-        let status = ["/status", "/status"].iter().find_map(|key| check.pointer(key));
+        let status = check.pointer("/status");
         !matches!(status.and_then(Value::as_str), Some("good" | "green"))
     };
     let mut statements = vec![sentence.to_owned()];

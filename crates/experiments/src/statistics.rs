@@ -27,7 +27,8 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// Central 95 % interval of chi squared over its degrees of freedom (Wilson and Hilferty's approximation, better than 1 % from 5 degrees on).
+/// Central 95 % interval of chi squared over its degrees of freedom (Wilson and Hilferty's approximation, better than 1
+/// % from 5 degrees on).
 pub fn chi_squared_band(degrees: usize) -> [f64; 2] {
     let spread = 2.0 / (9.0 * degrees as f64);
     [-1.959_964, 1.959_964].map(|z| (1.0 - spread + z * spread.sqrt()).max(0.0).powi(3))

@@ -53,7 +53,8 @@ impl TruePoses {
         })
     }
 
-    /// RMS of the rig's camera positions after the best rigid motion of its whole base, mm: what is left for whoever registers the base with the arm itself.
+    /// RMS of the rig's camera positions after the best rigid motion of its whole base, mm: what is left for whoever
+    /// registers the base with the arm itself.
     ///
     /// # Errors
     /// Postures that do not belong to the rig.
@@ -72,8 +73,8 @@ impl TruePoses {
         Ok(1e3 * (pairs().map(|(f, t)| (turn * f - t).norm_squared()).sum::<f64>() / count).sqrt())
     }
 
-    /// By how much the rig's camera positions are too far apart, percent: the scale of the similarity that takes true positions to found
-    /// ones (least squares, Umeyama 1991).
+    /// Scale error of the rig's camera positions, percent: the scale of the similarity that takes true positions to
+    /// found ones (least squares, Umeyama 1991).
     ///
     /// # Errors
     /// Postures that do not belong to the rig.

@@ -5,8 +5,8 @@ use anyhow::{Context, Result, ensure};
 use nalgebra::{DMatrix, DVector};
 use skclam::calibration::{Calibration, Parameter};
 
-/// Chi squared of the difference of the arm's parameters that both calibrations freed, with the two covariances summed, and their number. The
-/// base's gauge is not free and not among them; the mounts are each day's own.
+/// Chi squared of the difference of the arm's parameters that both calibrations freed, with the two covariances summed,
+/// and their number. The base's gauge is not free and not among them; the mounts are each day's own.
 ///
 /// # Errors
 /// No covariance, or no shared parameter.

@@ -4,7 +4,7 @@ use crate::causes::Cause;
 use crate::measured::{Measured, Status};
 use serde::{Deserialize, Serialize};
 
-/// How one row fared. `None`: the rule does not speak of this row.
+/// How one row fared. `None`: the rule does not apply to this row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Verdict {
     /// No green where the true error exceeds twice the claim, or the nominal error.
@@ -20,7 +20,8 @@ pub struct Verdict {
 /// A claim covers an error up to so many times its size.
 const COVERED: f64 = 2.0;
 
-/// Whether an answer may be used as it stands: its error is covered by its claim, and answer and claim are better than nominal.
+/// Whether an answer may be used as it is: its error is covered by its claim, and answer and claim are better than
+/// nominal.
 pub fn within_claim(measured: &Measured) -> bool {
     covered(measured)
         && measured.recorded.is_some_and(|recorded| {
@@ -29,8 +30,8 @@ pub fn within_claim(measured: &Measured) -> bool {
         })
 }
 
-/// Whether the true error is covered by the claims: position and orientation after the base's gauge by the covariance, and the position with the base frame fitted by
-/// the first sentence, which speaks of that.
+/// Whether the true error is covered by the claims: position and orientation after the base's gauge by the covariance,
+/// and the position with the base frame fitted by the first sentence, which is about that.
 fn covered(measured: &Measured) -> bool {
     let by_covariance = measured.recorded.is_some_and(|recorded| {
         let truth = recorded.truth;

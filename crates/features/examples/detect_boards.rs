@@ -4,7 +4,7 @@
 //! IMAGE...`
 //!
 //! COLUMNS and ROWS are inner corners; MARKER_IN_SQUARE is the side of a marker over that of a square. A line a corner:
-//! the image, which way to count it is (several where the pattern allows them), column and row, position and sigma in
+//! the image, which labelling it is (several where the pattern allows them), column and row, position and sigma in
 //! px. An image without a board has no line.
 
 use skclam_features::{BoardLayout, BoardOptions, Dictionary, MarkerLayout, detect_board};

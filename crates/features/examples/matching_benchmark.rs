@@ -1,10 +1,12 @@
-//! Times exhaustive and guided matching; for `benchmarks/features/matching.py`, which holds the former against OpenCV's.
+//! Times exhaustive and guided matching; for `benchmarks/features/matching.py`, which holds the former against
+//! OpenCV's.
 //!
 //! Reads two files of raw descriptors (64 bytes each) and prints the time of each repetition in milliseconds, by the
 //! wall clock and of the processor: of exhaustive matching, and of guided matching, keypoints spread over 1920 x 1080,
-//! for half widths of the band from 2 to 200 px. `side`: along the epipolar lines of a camera that moves to the side and
-//! turns; `ahead`: the epipole in the image; `depth`: to the side, and within 200 px of a predicted point, as in the
-//! pipeline; and of refining 2,000 matches (`refinement`). A fourth argument names the one kind to run, once, for counting instructions. Threads: `RAYON_NUM_THREADS`.
+//! for half widths of the band from 2 to 200 px. `side`: along the epipolar lines of a camera that moves to the side
+//! and turns; `ahead`: the epipole in the image; `depth`: to the side, and within 200 px of a predicted point, as in
+//! the pipeline; and of refining 2,000 matches (`refinement`). A fourth argument names the one kind to run, once, for
+//! counting instructions. Threads: `RAYON_NUM_THREADS`.
 
 use cpu_time::ProcessTime;
 use image::GrayImage;

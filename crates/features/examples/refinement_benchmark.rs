@@ -61,7 +61,7 @@ fn homography(image: &GrayImage, turn_deg: f64, zoom: f64, side_deg: f64) -> Mat
     let camera = Matrix3::new(focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0);
     let side = nalgebra::Rotation3::from_euler_angles(0.2 * side_deg.to_radians(), side_deg.to_radians(), 0.0);
     let turn = nalgebra::Rotation3::from_euler_angles(0.0, 0.0, turn_deg.to_radians());
-    // The plane stands at one focal length, turned about the point that the axis meets.
+    // The plane is at one focal length, turned about the point that the axis meets.
     let mut seen = turn.matrix() * side.matrix() * Matrix3::new(1.0, 0.0, -cx, 0.0, 1.0, -cy, 0.0, 0.0, 0.0);
     seen[(2, 2)] += focal / zoom;
     camera * seen

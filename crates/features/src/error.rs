@@ -41,7 +41,7 @@ pub enum FeaturesError {
     /// A number that must be finite is not.
     #[error("{what} holds {value}, which is not finite")]
     NotFinite {
-        /// Where the number stands.
+        /// Where the number is.
         what: &'static str,
         /// The number as text.
         value: String,
@@ -56,7 +56,7 @@ pub enum FeaturesError {
         /// The length that it must have.
         need: usize,
     },
-    /// More keypoints than an index of the search can tell apart.
+    /// More keypoints than an index of the search can distinguish.
     #[error("an image has {got} keypoints, at most {max} can be matched along epipolar lines")]
     TooManyKeypoints {
         /// How many there are.

@@ -89,7 +89,7 @@ pub struct FilteredMatches {
 /// Matches image A with image B and filters by the paper's chain.
 ///
 /// `predicted` is the fundamental matrix that the nominal kinematics predicts, `in_a^T F in_b = 0`; without it, or with
-/// a zero one (no baseline), the gate lets everything pass and [`FilteredMatches::gate`] tells.
+/// a zero one (no baseline), the gate lets everything pass and [`FilteredMatches::gate`] says so.
 ///
 /// # Errors
 /// Options out of range, lists of different length, numbers that are not finite.

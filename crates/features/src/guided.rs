@@ -3,17 +3,17 @@
 //!
 //! # What differs from matching everything and gating afterwards
 //! Here the gate comes first: nearest, second nearest and cross-check are taken over the admitted pairs alone, exactly
-//! as if every other entry of the distance matrix were missing. The ratio test is thereby held against fewer
-//! descriptors, and a keypoint whose nearest descriptor lies outside of the band may still find its neighbor inside.
+//! as if every other entry of the distance matrix were missing. The ratio test thereby compares with fewer
+//! descriptors, and a keypoint whose nearest descriptor lies outside of the band may still find its match inside.
 //! Every match that survives [`match_and_filter`] up to the cross-check is also found here
 //! (the same nearest, no nearer second, no better rival; one exception would be a lone candidate whose true second lay
 //! beyond [`UNRELATED_DISTANCE`](crate::matching::UNRELATED_DISTANCE)), and some more. In a band so
 //! narrow that it holds one or two candidates the ratio test says little: set
 //! [`MatchOptions::max_distance`](crate::MatchOptions::max_distance) there.
 //!
-//! What it costs: a pair that is looked at costs about a third more than a pair in [`match_and_filter`] (the same kernel,
-//! and the mask), and the pairs looked at are those admitted and some at the ragged ends of bands. Only a band that
-//! holds most of the image takes longer than comparing everything.
+//! What it costs: a pair that is looked at costs about a third more than a pair in [`match_and_filter`] (the same
+//! kernel, and the mask), and the pairs looked at are those admitted and some at the ragged ends of bands. Only a band
+//! that holds most of the image takes longer than comparing everything.
 
 mod chart;
 mod search;
@@ -49,10 +49,10 @@ const NO_KEY: u64 = u64::MAX;
 
 /// Matches image A with image B where the prediction allows it, and filters by the rest of the chain.
 ///
-/// Keypoints with a predicted point are searched near it (and in the band, if there is one), others in the band; without
-/// a band they find nothing. If the prediction says nothing at all (neither points nor a matrix with a gate, or the
-/// zero matrix of one posture taken twice), everything is compared as in [`match_and_filter`]; the outcome of the gate
-/// tells. In the counts, `after_gate` is the number of keypoints of A with a candidate.
+/// Keypoints with a predicted point are searched near it (and in the band, if there is one), others in the band;
+/// without a band they find nothing. If the prediction says nothing at all (neither points nor a matrix with a gate, or
+/// the zero matrix of one posture taken twice), everything is compared as in [`match_and_filter`]; the outcome of the
+/// gate says so. In the counts, `after_gate` is the number of keypoints of A with a candidate.
 ///
 /// # Errors
 /// As [`match_and_filter`]; also predicted points that are not finite or not as many as keypoints of A, positions whose

@@ -1,8 +1,8 @@
-//! What moves with the camera: the gripper, a cable. Found from matches that stand still while the scene moves.
+//! What moves with the camera: the gripper, a cable. Found from matches that stay in place while the scene moves.
 //!
 //! Matches between two images whose camera has moved fall into those of the scene, which move, and those of things
-//! fixed to the camera, which do not. A point of the scene, too, may stand still: where the motion's axis passes, or
-//! if the camera hardly moved. So a match that stands still counts only where the scene *should* have moved: a
+//! fixed to the camera, which do not. A point of the scene, too, may stay in place: where the motion's axis passes, or
+//! if the camera hardly moved. So a static match counts only where the scene *should* have moved: a
 //! homography is fitted to the matches that moved, and must move the place by far more than the match moved. Such
 //! votes are collected over all pairs in cells of the image; a cell is masked if enough pairs voted for it and the
 //! scene was seldom seen to move through it. Gaps are closed and the edge is widened, since features at an outline
@@ -26,19 +26,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskOptions {
-    /// A match that moved at most this far stands still, px.
+    /// A match that moved at most this far is static, px.
     pub static_px: f64,
-    /// Where it stands still, the scene must have moved at least this far, px.
+    /// Where it is static, the scene must have moved at least this far, px.
     pub scene_moves_px: f64,
     /// Fewest pairs of images that must have voted for a place.
     pub min_votes: u32,
-    /// Share of the votes of a place that must be for standing still.
+    /// Fraction of the votes of a place that must be for static.
     pub min_fraction: f64,
     /// How far from a place with votes the mask reaches, px.
     pub margin_px: f64,
     /// Gaps up to this width within what is fixed are masked too, px, unless the scene was seen in them.
     pub gap_px: f64,
-    /// A mask larger than this share of the image is not believed.
+    /// A mask larger than this fraction of the image is rejected.
     pub max_masked_fraction: f64,
 }
 
@@ -75,9 +75,9 @@ pub enum MaskOutcome {
     Found,
     /// Nothing does that could be seen. The mask covers nothing.
     NothingFixed,
-    /// In too few pairs did the scene move enough to tell. The mask covers nothing.
+    /// In too few pairs did the scene move enough to decide. The mask covers nothing.
     CameraHardlyMoved,
-    /// What stood still would cover more than the largest share allowed. The mask covers nothing.
+    /// The static part would cover more than the largest fraction allowed. The mask covers nothing.
     Implausible,
 }
 
@@ -90,19 +90,19 @@ pub struct EgoMask {
     pub outcome: MaskOutcome,
     /// Pairs given.
     pub pairs: usize,
-    /// Pairs in which the scene moved enough to tell.
+    /// Pairs in which the scene moved enough to decide.
     pub moving_pairs: usize,
-    /// Matches that stood still where the scene moved.
+    /// Static matches where the scene moved.
     pub static_matches: usize,
     /// Matches that moved with the scene.
     pub scene_matches: usize,
-    /// Share of the image that was found to be fixed; in the mask unless it was not believed.
+    /// Fraction of the image that was found to be fixed; in the mask unless it was rejected.
     pub masked_fraction: f64,
 }
 
 /// Side of a cell, px.
 const CELL_PX: u32 = 8;
-/// Fewest matches that must agree on how the scene moved, and their share of those that moved.
+/// Fewest matches that must agree on how the scene moved, and their fraction of those that moved.
 const MIN_AGREEING: usize = 12;
 const MIN_AGREEING_FRACTION: f64 = 0.3;
 /// How far a match of the scene may be from the homography, px: depth makes it wrong by some.
@@ -228,7 +228,7 @@ fn check(width: u32, height: u32, options: &MaskOptions) -> Result<(), FeaturesE
 struct Votes {
     /// Whether the scene was seen to move.
     scene_moved: bool,
-    /// Points, in both images, that stood still where the scene moved.
+    /// Points, in both images, that were static where the scene moved.
     still: Vec<Point2<f64>>,
     /// Points, in both images, that moved as the scene did.
     scene: Vec<Point2<f64>>,
@@ -260,7 +260,7 @@ fn votes_of(pair: &MatchedPair<'_>, options: &MaskOptions) -> Votes {
     for (a, b) in in_a.iter().zip(&in_b) {
         if (moved(b) - a).norm() <= AGREEING_PX {
             agreeing += 1;
-            // What the scene's motion leaves in place says nothing.
+            // What the scene's motion leaves in place carries no information.
             if (a - b).norm() >= options.scene_moves_px {
                 votes.scene.extend([*a, *b]);
             }

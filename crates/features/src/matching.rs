@@ -13,16 +13,16 @@ pub use nearest::{Nearest, TwoNearest, two_nearest};
 use crate::{Descriptor, FeaturesError, Match};
 use serde::{Deserialize, Serialize};
 
-/// Stands in for the second distance in the ratio test where there is no second neighbour: half of the bits, which is
+/// Replaces the second distance in the ratio test where there is no second neighbour: half of the bits, which is
 /// what descriptors that have nothing to do with each other differ by on average.
 pub const UNRELATED_DISTANCE: u32 = 243;
 
-/// Which nearest neighbours are believed.
+/// Which nearest neighbours are accepted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {
     /// The nearest neighbour must be closer than this times the second nearest (paper, 3.2.2: 0.6; Lowe: 0.8).
-    /// From 1 on the test is off. A lone neighbour is held against [`UNRELATED_DISTANCE`].
+    /// From 1 on the test is off. A lone neighbour is compared with [`UNRELATED_DISTANCE`].
     pub ratio: f64,
     /// Keep only pairs that are each other's nearest (paper, 3.2.1).
     pub cross_check: bool,

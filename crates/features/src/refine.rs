@@ -2,7 +2,7 @@
 //!
 //! A detector finds the same point in two images to some tenths of a pixel. Where the surface around it is smooth, far
 //! more is known: the patch around the point of image A, warped as the change of view predicts, is to be found in
-//! image B. The point of image A is taken as it stands (it *names* the point), the one in image B is moved until the
+//! image B. The point of image A is taken as it is (it *names* the point), the one in image B is moved until the
 //! patches agree, by Lucas and Kanade's method (in `align`), and gets a covariance from the gradients of the patch and
 //! from what remains of the difference.
 //!
@@ -15,13 +15,13 @@ mod pyramid;
 pub use pyramid::Pyramid;
 
 use crate::{FeaturesError, KeyPoint};
-use align::{Fit, Freedom, Template, Warp};
+use align::{Fit, Template, Warp, WarpDof};
 use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
 use pyramid::{Cubic, Level};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// What is refined, how far, and what is believed.
+/// What is refined, how far, and what is accepted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RefineOptions {
@@ -67,7 +67,7 @@ pub enum WarpModel {
 pub struct Seed {
     /// The point in image A, px of the image as it is (with its distortion).
     pub in_a: Point2<f64>,
-    /// Where it is believed to be in image B, px.
+    /// Where it is expected to be in image B, px.
     pub in_b: Point2<f64>,
     /// The predicted change of the patch: a small offset `d` in image A becomes `b_from_a * d` in image B.
     pub b_from_a: Matrix2<f64>,
@@ -138,13 +138,13 @@ pub enum Rejection {
     Uncertain,
 }
 
-/// Samples along a side of the smallest patch that still tells six parameters.
+/// Samples along a side of the smallest patch that still determines six parameters.
 const SMALLEST_PATCH: usize = 7;
 /// Keypoint diameter for which one sample is one pixel of the full image (AKAZE's finest level has 4.8).
 const FINEST_SIZE_PX: f64 = 5.0;
 /// At rest, px of the level: the step after one of this length is a fraction of it.
 const AT_REST: f64 = 0.008;
-/// Nearly so, px of the level: the linear part then tells the slant of the surface well enough for what is of second
+/// Nearly so, px of the level: the linear part then gives the slant of the surface well enough for what is of second
 /// order.
 const NEARLY_AT_REST: f64 = 0.05;
 /// Least contrast (standard deviation) of a patch, grey values.
@@ -173,7 +173,7 @@ impl RefineOptions {
     }
 }
 
-/// Refines matches between two images; the answers stand in the order of the seeds.
+/// Refines matches between two images; the answers are in the order of the seeds.
 ///
 /// Uses rayon's current pool; the result does not depend on it.
 ///
@@ -217,7 +217,7 @@ impl Refiner {
     /// Refines a match between image A and image B.
     ///
     /// # Errors
-    /// Why the match is not to be believed.
+    /// Why the match is not to be used.
     pub fn refine(&mut self, a: &Pyramid, b: &Pyramid, seed: &Seed) -> Result<Refined, Rejection> {
         self.refine_bent(a, b, seed, &|_, _| None)
     }
@@ -344,8 +344,8 @@ fn refine_at(
         let Bend(factors) = bend(&(warp.linear * (scale_b / scale_a)), &Point2::from(warp.centre * scale_b))?;
         Some(factors.map(|axis| axis.map(|factor| (factor * scale_a * scale_a / scale_b) as f32)))
     };
-    let (warp, freedom) = come_to_rest(template, level, start, &bent, reach, options)?;
-    let Fit { correlation, covariance } = template.fit(&warp, freedom).ok_or(Rejection::NoTexture)?;
+    let (warp, dof) = come_to_rest(template, level, start, &bent, reach, options)?;
+    let Fit { correlation, covariance } = template.fit(&warp, dof).ok_or(Rejection::NoTexture)?;
     if correlation < options.min_correlation {
         return Err(Rejection::PoorCorrelation);
     }
@@ -366,30 +366,30 @@ fn come_to_rest(
     bent: &dyn Fn(&Warp) -> Option<[[f32; 3]; 2]>,
     reach: f64,
     options: &RefineOptions,
-) -> Result<(Warp, Freedom), Rejection> {
+) -> Result<(Warp, WarpDof), Rejection> {
     let mut warp = start;
     let reach = reach * start.linear.determinant().sqrt();
-    let mut freedom = Freedom::Shift;
+    let mut dof = WarpDof::Shift;
     let mut is_bent = false;
     for iteration in 0..options.max_iterations {
-        let moved = template.step(level, &mut warp, freedom).ok_or(Rejection::OutsideImage)?;
+        let moved = template.step(level, &mut warp, dof).ok_or(Rejection::OutsideImage)?;
         let change = warp.linear.determinant() / start.linear.determinant();
         if (warp.centre - start.centre).norm() > reach || !(0.4..2.5).contains(&change) {
             return Err(Rejection::MovedTooFar);
         }
-        match (options.model, freedom) {
+        match (options.model, dof) {
             // First the shift alone: the linear part of a displaced patch is noise.
-            (WarpModel::Affine, Freedom::Shift) if moved < 0.3 || iteration >= 3 => freedom = Freedom::Affine,
-            (WarpModel::Affine, Freedom::Shift) => {}
+            (WarpModel::Affine, WarpDof::Shift) if moved < 0.3 || iteration >= 3 => dof = WarpDof::Affine,
+            (WarpModel::Affine, WarpDof::Shift) => {}
             _ if moved < NEARLY_AT_REST && !is_bent => {
                 is_bent = true;
                 match bent(&warp) {
                     Some(bend) => warp.bend = bend,
-                    None if moved < AT_REST => return Ok((warp, freedom)),
+                    None if moved < AT_REST => return Ok((warp, dof)),
                     None => {}
                 }
             }
-            _ if moved < AT_REST => return Ok((warp, freedom)),
+            _ if moved < AT_REST => return Ok((warp, dof)),
             _ => {}
         }
     }

@@ -6,9 +6,9 @@
 //! out, whatever the order in which the pairs were given.
 //!
 //! # Positions
-//! Refining the second point of each pair on its own would give a keypoint as many positions as it has neighbors.
-//! [`refine_tracks`] instead lets one observation name the point, the *reference*, and aligns all others with its patch:
-//! each observation has one position with one covariance, as bundle adjustment asks.
+//! Refining the second point of each pair on its own would give a keypoint as many positions as it has matches.
+//! [`refine_tracks`] instead lets one observation name the point, the *reference*, and aligns all others with its
+//! patch: each observation has one position with one covariance, as bundle adjustment asks.
 
 mod refine;
 

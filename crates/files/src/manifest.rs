@@ -1,7 +1,7 @@
 //! `manifest.json`: which files a command wrote into a folder, with their sizes and checksums.
 //!
-//! It tells the files of the result from those that the user put beside them, and notices a folder that is not of one
-//! piece: copied in part, or mixed from two runs.
+//! It distinguishes the files of the result from those that the user put beside them, and notices a folder that is not
+//! of one piece: copied in part, or mixed from two runs.
 
 use crate::open::{Kind, open, read_text};
 use crate::{OutputError, recover};
@@ -45,8 +45,8 @@ pub enum Contents {
 }
 
 impl Contents {
-    /// Names that the command may write into the folder itself: what else stands under one of them is told before the
-    /// work.
+    /// Names that the command may write into the folder itself: what else exists under one of them is reported before
+    /// the work.
     pub(crate) fn names(self) -> &'static [&'static str] {
         match self {
             Contents::DataSet => &["rig.toml", "postures.csv", "color", "depth", "truth"],
@@ -180,7 +180,7 @@ impl Manifest {
 /// Files that are gone are no mixture; whoever needs one will miss it.
 ///
 /// # Errors
-/// Where a file is not the one that the manifest tells of, or an interrupted replacement cannot be finished.
+/// Where a file is not the one that the manifest names, or an interrupted replacement cannot be finished.
 pub fn verify(folder: &Path) -> Result<Option<Manifest>, OutputError> {
     recover(folder)?;
     let Some(manifest) = Manifest::read(folder)? else { return Ok(None) };
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_manifest_that_leads_elsewhere_or_is_none_is_not_believed() {
+    fn a_manifest_that_leads_elsewhere_or_is_none_is_rejected() {
         let folder = folder();
         let path = folder.path().join(MANIFEST);
         let text = std::fs::read_to_string(&path).unwrap();

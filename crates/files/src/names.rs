@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_leave_are_told_from_those_that_stay() {
+    fn names_that_leave_are_distinguished_from_those_that_stay() {
         for stays in ["a", "./a", "a/b.png", "...", "a..b/c", "a//b"] {
             assert!(is_inside(Path::new(stays)), "{stays}");
         }

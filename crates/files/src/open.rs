@@ -1,6 +1,6 @@
 //! Opening files: regular ones only, none larger than its kind may be, none read past that.
 //!
-//! A name can stand for a pipe that nobody writes to, a device that never ends, or a file of terabytes without a byte
+//! A name can be a pipe that nobody writes to, a device that never ends, or a file of terabytes without a byte
 //! in it.
 
 use std::fs::File;
@@ -82,7 +82,7 @@ impl Kind {
     }
 }
 
-/// What stands at a path that is no regular file.
+/// What is at a path that is no regular file.
 pub(crate) fn what_it_is(kind: std::fs::FileType) -> &'static str {
     #[cfg(unix)]
     {

@@ -8,16 +8,16 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Room that is asked for before the work begins; how much will be needed nobody knows yet.
+/// Disk space that is asked for before the work begins; how much will be needed nobody knows yet.
 #[cfg(unix)]
 const MIN_FREE_BYTES: u64 = 1 << 20;
 
 /// How a staged folder becomes the destination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Way {
-    /// By one rename: nothing stands there, or an empty folder.
+    /// By one rename: nothing is there, or an empty folder.
     Rename,
-    /// By the exchange of two folders: an earlier result stands there.
+    /// By the exchange of two folders: an earlier result is there.
     Exchange,
     /// File by file with a journal: the folder itself has to stay, or is more than a result.
     InPlace,
@@ -53,7 +53,7 @@ impl Place {
     }
 
     fn look(&mut self, contents: Contents) -> Result<(), OutputError> {
-        if tree::stands(&self.real) {
+        if tree::exists(&self.real) {
             recover(&self.real)?;
             self.look_at_folder(contents)?;
         }
@@ -134,7 +134,7 @@ impl Place {
 
     fn previous_can_be_kept(&self) -> Result<(), OutputError> {
         let previous = self.workshop().join(previous_name(&self.real, self.is_inside));
-        if self.old.is_none() || !tree::stands(&previous) {
+        if self.old.is_none() || !tree::exists(&previous) {
             return Ok(());
         }
         let refuse = |holds: String| {
@@ -143,7 +143,7 @@ impl Place {
         };
         match previous.symlink_metadata() {
             Ok(metadata) if metadata.is_dir() => {}
-            _ => return refuse("no folder stands there".to_owned()),
+            _ => return refuse("no folder is there".to_owned()),
         }
         let Some(manifest) = Manifest::read(&previous)? else {
             return refuse("holds no result".to_owned());
@@ -200,7 +200,7 @@ pub(crate) fn parents(shown: &Path) -> Result<(PathBuf, Vec<PathBuf>), OutputErr
     let parent = shown.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let missing: Vec<PathBuf> = parent
         .ancestors()
-        .take_while(|above| !above.as_os_str().is_empty() && !tree::stands(above))
+        .take_while(|above| !above.as_os_str().is_empty() && !tree::exists(above))
         .map(Path::to_owned)
         .collect();
     let made = if missing.is_empty() { Ok(()) } else { fs::create_dir_all(parent) };
@@ -263,7 +263,7 @@ fn enough_room(folder: &Path, shown: &Path) -> Result<(), OutputError> {
     let Ok(stat) = rustix::fs::statvfs(folder) else { return Ok(()) };
     let free = stat.f_bavail.saturating_mul(stat.f_frsize);
     if free < MIN_FREE_BYTES {
-        let problem = format!("only {free} bytes are free there; make room, or name another folder");
+        let problem = format!("only {free} bytes are free there; free some space, or name another folder");
         return Err(OutputError::new(shown, problem));
     }
     Ok(())

@@ -10,7 +10,7 @@ use std::path::Path;
 ///
 /// The one before gets a marker and a hidden name first, so that no half of it is ever taken for a result.
 pub(crate) fn keep(earlier: &Path, previous: &Path, name: &str) -> io::Result<()> {
-    if tree::stands(previous) {
+    if tree::exists(previous) {
         let doomed = previous.with_file_name(staging::new_name(name));
         let _ = fs::write(previous.join(staging::MARKER), "");
         fs::rename(previous, &doomed)?;

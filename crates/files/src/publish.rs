@@ -1,6 +1,6 @@
 //! From the staged folder to the destination.
 //!
-//! Where the destination is new that is one rename. Where an earlier result stands, the two folders change places in
+//! Where the destination is new that is one rename. Where there is an earlier result, the two folders change places in
 //! one step, and what follows only tidies up: files that were never this program's go over to the new folder, the
 //! earlier result becomes `NAME.previous`. Where the folder itself has to stay (a mount point, somebody's working
 //! folder) or the system cannot exchange, files are moved one by one under a journal, which
@@ -47,7 +47,7 @@ pub(crate) fn publish(place: &Place, staged: &Path, files: &[String]) -> Result<
     // Somebody else may have made it in the meantime: a rename would replace an empty folder alone.
     if place.way == Way::Rename {
         fs::rename(staged, &place.real).map_err(io)?;
-        // The result stands; what is left is for recover().
+        // The result is in place; what is left is for recover().
         let _ = tidy(&place.real);
         return Ok(());
     }
@@ -74,7 +74,7 @@ fn exchange(place: &Place, staged: &Path) -> Result<bool, OutputError> {
     if !exchanged(staged, &place.real).map_err(io)? {
         return Ok(false);
     }
-    // From here on the new result stands, whole; a failure below leaves work to the next command and no damage.
+    // From here on the new result is in place, whole; a failure below leaves work to the next command and no damage.
     let _ = after_exchange(&place.real);
     Ok(true)
 }
@@ -129,7 +129,7 @@ fn carry_over(earlier: &Path, real: &Path) -> io::Result<()> {
         let name = entry.file_name();
         let known = name.to_str().is_some_and(|name| old.owns(name) || staging::is_ours(name));
         let target = real.join(&name);
-        if !known && !tree::stands(&target) {
+        if !known && !tree::exists(&target) {
             fs::rename(entry.path(), target)?;
         }
     }
@@ -162,28 +162,28 @@ fn in_place(place: &Place, staged: &Path, files: &[String]) -> Result<(), Output
             Err(_) => failed.and("; the folder is half replaced, and the next command that uses it finishes that"),
         });
     }
-    // The new result stands; what is left is for recover().
+    // The new result is in place; what is left is for recover().
     let _ = journal.finish(&place.real);
     Ok(())
 }
 
 impl Journal {
     /// The folders of the new and of the old files.
-    fn rooms(&self, real: &Path) -> [PathBuf; 2] {
+    fn staging_folders(&self, real: &Path) -> [PathBuf; 2] {
         let workshop = if self.is_inside { real } else { real.parent().unwrap_or(real) };
         [workshop.join(&self.staging), workshop.join(format!("{}.old", self.staging))]
     }
 
     /// Whether every name stays where it should: nothing is moved by a journal that came with a strange folder.
     pub fn is_sound(&self, real: &Path) -> bool {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         is_staging_of(&self.staging, real)
             && self.new.iter().chain(&self.old).all(|name| crate::is_inside(Path::new(name)))
             && self.new.iter().all(|name| no_link_above(&new, name) && no_link_above(real, name))
             && self.old.iter().all(|name| no_link_above(&old, name) && no_link_above(real, name))
     }
 
-    /// Whether each new file has a place: nothing that is not of the earlier result stands there.
+    /// Whether each new file has a place: nothing that is not of the earlier result is there.
     fn is_possible(&self, real: &Path) -> Result<(), String> {
         for name in &self.new {
             let known = self.old.contains(name);
@@ -192,7 +192,7 @@ impl Journal {
             }
             let is_file = real.join(name).symlink_metadata().map(|metadata| metadata.is_file()).ok();
             if is_file.is_some_and(|is_file| !(known && is_file)) {
-                return Err(format!("{name} stands there, and is not of an earlier command; name another folder"));
+                return Err(format!("{name} is there, and is not of an earlier command; name another folder"));
             }
         }
         Ok(())
@@ -200,16 +200,16 @@ impl Journal {
 
     /// Moves every old file away, then every new one in. Can be repeated at any point.
     pub fn forward(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         // The manifests go first and come last, so that no folder in between has one.
         for name in self.old.iter().rev() {
-            let is_placed = self.new.contains(name) && !tree::stands(&new.join(name));
-            if !is_placed && tree::stands(&real.join(name)) && !tree::stands(&old.join(name)) {
+            let is_placed = self.new.contains(name) && !tree::exists(&new.join(name));
+            if !is_placed && tree::exists(&real.join(name)) && !tree::exists(&old.join(name)) {
                 tree::move_to(&real.join(name), &old.join(name))?;
             }
         }
         for name in &self.new {
-            if tree::stands(&new.join(name)) {
+            if tree::exists(&new.join(name)) {
                 tree::move_to(&new.join(name), &real.join(name))?;
             }
         }
@@ -218,19 +218,19 @@ impl Journal {
 
     /// Undoes what [`forward`](Self::forward) has done so far.
     fn backward(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         for name in self.new.iter().rev() {
-            if !tree::stands(&new.join(name)) && tree::stands(&real.join(name)) {
+            if !tree::exists(&new.join(name)) && tree::exists(&real.join(name)) {
                 tree::move_to(&real.join(name), &new.join(name))?;
             }
         }
         for name in &self.old {
-            if tree::stands(&old.join(name)) {
+            if tree::exists(&old.join(name)) {
                 tree::move_to(&old.join(name), &real.join(name))?;
             }
         }
         // Only folders are left in it.
-        match tree::stands(&old) && tree::files(&old)?.is_empty() {
+        match tree::exists(&old) && tree::files(&old)?.is_empty() {
             true => tree::remove(&old, None),
             false => Ok(()),
         }
@@ -238,14 +238,14 @@ impl Journal {
 
     /// Keeps the earlier result and removes what is no longer needed, the journal last.
     pub fn finish(&self, real: &Path) -> io::Result<()> {
-        let [new, old] = self.rooms(real);
+        let [new, old] = self.staging_folders(real);
         // Folders of the earlier result that are empty now.
         for name in &self.old {
             for above in Path::new(name).ancestors().skip(1).filter(|above| !above.as_os_str().is_empty()) {
                 let _ = fs::remove_dir(real.join(above));
             }
         }
-        if tree::stands(&old) {
+        if tree::exists(&old) {
             let workshop = if self.is_inside { real } else { real.parent().unwrap_or(real) };
             previous::keep(&old, &workshop.join(previous_name(real, self.is_inside)), &name_of(real))?;
         }

@@ -15,10 +15,10 @@ pub fn recover(folder: &Path) -> Result<(), OutputError> {
     // Links were named by the user, and the names beside the folder are those beside the real one.
     let Ok(real) = folder.canonicalize() else { return Ok(()) };
     let (journal, marker) = (real.join(JOURNAL), real.join(staging::MARKER));
-    if tree::stands(&journal) {
+    if tree::exists(&journal) {
         let lock = staging::lock(&real, folder)?;
         // The other command may have come to its end while this one waited.
-        if tree::stands(&journal) {
+        if tree::exists(&journal) {
             finish(&real, &journal).map_err(|problem| {
                 let half = format!("holds files of two results, as a command was interrupted: {problem}");
                 OutputError::new(folder, half)
@@ -26,7 +26,7 @@ pub fn recover(folder: &Path) -> Result<(), OutputError> {
         }
         drop(lock);
     }
-    if tree::stands(&marker) && !staging::is_locked(&real) {
+    if tree::exists(&marker) && !staging::is_locked(&real) {
         // The result is whole; only tidying up is left, and can wait.
         let _ = after_exchange(&real);
     }

@@ -16,7 +16,7 @@ pub struct StagedFile {
     real: PathBuf,
     folder: PathBuf,
     made_parents: Vec<PathBuf>,
-    /// Tells other commands that this one lives.
+    /// Shows other commands that this one lives.
     _lock: File,
     is_finished: bool,
 }
@@ -25,7 +25,7 @@ impl StagedFile {
     /// Begins a file that will become `destination`; a link there is followed, and stays.
     ///
     /// # Errors
-    /// Where something else than a regular file stands there, a file of a result, or nothing can be written.
+    /// Where something else than a regular file is there, a file of a result, or nothing can be written.
     pub fn new(destination: impl AsRef<Path>) -> Result<Self, OutputError> {
         let shown = destination.as_ref().to_owned();
         let (real, made_parents) = resolved(&shown)?;
@@ -52,7 +52,7 @@ impl StagedFile {
 
     /// Where to write it.
     pub fn path(&self) -> PathBuf {
-        // With the ending of the destination, by which writers of pictures go.
+        // With the ending of the destination, by which writers of images go.
         let mut name = std::ffi::OsString::from("file");
         if let Some(ending) = self.real.extension() {
             name.push(".");
@@ -72,7 +72,7 @@ impl StagedFile {
     /// Puts it in its place by one rename.
     ///
     /// # Errors
-    /// What stood there is as it was.
+    /// What was there is as it was.
     pub fn publish(mut self) -> Result<(), OutputError> {
         let _guard = staging::publishing(&self.shown)?;
         let path = self.path();
@@ -81,7 +81,7 @@ impl StagedFile {
             .and_then(|()| fs::rename(&path, &self.real))
             .map_err(|error| OutputError::io(&self.shown, error))?;
         self.is_finished = true;
-        // The file stands; an empty folder that stays is removed by the next command.
+        // The file is in place; an empty folder that stays is removed by the next command.
         let _ = tree::remove(&self.folder, None);
         staging::unregister(&self.folder);
         Ok(())

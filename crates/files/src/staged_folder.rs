@@ -14,7 +14,7 @@ pub struct StagedFolder {
     place: Place,
     contents: Contents,
     staged: PathBuf,
-    /// Tells other commands that this one lives.
+    /// Shows other commands that this one lives.
     _lock: File,
     derived: Vec<&'static str>,
     cleaned: Vec<PathBuf>,
@@ -25,7 +25,7 @@ impl StagedFolder {
     /// Begins a folder that will become `destination`. Folders above it are made; `destination` is not touched yet.
     ///
     /// # Errors
-    /// Where the results could not be put there in the end: something else stands there, or nothing can be written.
+    /// Where the results could not be put there in the end: something else is there, or nothing can be written.
     pub fn new(destination: impl AsRef<Path>, contents: Contents) -> Result<Self, OutputError> {
         let place = Place::of(destination.as_ref(), contents)?;
         staging::still_wanted(&place.shown)?;
@@ -123,13 +123,13 @@ impl StagedFolder {
 
     /// Results that cannot be put in their place are not thrown away.
     fn rescue(&self, error: OutputError) -> OutputError {
-        if tree::stands(&self.place.real.join(publish::JOURNAL)) {
+        if tree::exists(&self.place.real.join(publish::JOURNAL)) {
             return error;
         }
         let mut name = self.place.name();
         name.push_str(".unpublished");
         let kept = self.place.workshop().join(name);
-        if tree::stands(&kept) || fs::rename(&self.staged, &kept).is_err() {
+        if tree::exists(&kept) || fs::rename(&self.staged, &kept).is_err() {
             let at = format!("; the new results are kept in {}", self.staged.display());
             let _ = fs::remove_file(self.staged.join(staging::MARKER));
             return error.and(&at);

@@ -59,11 +59,11 @@ pub(crate) fn remove_made(folders: &[PathBuf]) {
 }
 
 /// Gives up everything that this process has under construction: for a program that is about to end. A publication that
-/// has begun is waited for; both within `patience`. Nothing can be staged or published afterwards.
+/// has begun is waited for; both within `timeout`. Nothing can be staged or published afterwards.
 ///
 /// Whether everything is gone; what is not is removed by the next command.
-pub fn abandon_everything(patience: Duration) -> bool {
-    let deadline = Instant::now() + patience;
+pub fn abandon_everything(timeout: Duration) -> bool {
+    let deadline = Instant::now() + timeout;
     let guard = loop {
         match PUBLISHING.try_lock() {
             Ok(guard) => break Some(guard),
@@ -74,7 +74,7 @@ pub fn abandon_everything(patience: Duration) -> bool {
     };
     ABANDONED.store(true, Ordering::SeqCst);
     if guard.is_none() {
-        // Half published: the journal tells the next command how to go on.
+        // Half published: from the journal the next command knows how to go on.
         return false;
     }
     // Held until the program ends.
@@ -102,7 +102,7 @@ pub(crate) fn prefix(name: &str) -> String {
     while !name.is_char_boundary(most) {
         most -= 1;
     }
-    // Long names that begin alike are told apart.
+    // Long names that begin alike are distinguished.
     let rest = if most < name.len() { format!("~{:08x}", crc32fast::hash(name.as_bytes())) } else { String::new() };
     format!(".{}{rest}.partial-", &name[..most])
 }

@@ -24,7 +24,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool, form: impl Fn(char, &m
     Cow::Owned(out)
 }
 
-/// A name or a value as one harmless line: what is harmful stands as `\u{1b}`, ends of lines as `\n`.
+/// A name or a value as one harmless line: what is harmful appears as `\u{1b}`, ends of lines as `\n`.
 pub fn shown(text: &str) -> Cow<'_, str> {
     escaped(text, is_harmful, |c, out| match c {
         '\n' | '\r' | '\t' => out.extend(c.escape_default()),
@@ -37,7 +37,7 @@ pub fn on_screen(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_harmful(c) && c != '\n' && c != '\t', |c, out| out.extend(c.escape_unicode()))
 }
 
-/// JSON that holds no harmful characters and means the same: within its strings they stand as `\u001b`.
+/// JSON that holds no harmful characters and means the same: within its strings they appear as `\u001b`.
 pub fn json_text(json: &str) -> Cow<'_, str> {
     // Outside of strings JSON has no other controls than these.
     escaped(

@@ -55,7 +55,7 @@ pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
 }
 
 /// Removes a folder that this program made, with its read-only children; what is gone already is no error. Ends early
-/// at the deadline. The marker goes last, so that what is left can be told from a result.
+/// at the deadline. The marker goes last, so that what is left can be distinguished from a result.
 pub(crate) fn remove(folder: &Path, deadline: Option<Instant>) -> io::Result<()> {
     for entry in gone_is_empty(fs::read_dir(folder))?.into_iter().flatten() {
         let entry = entry?;
@@ -112,8 +112,8 @@ pub(crate) fn move_to(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)
 }
 
-/// Whether something stands at the path, a dangling link too.
-pub(crate) fn stands(path: &Path) -> bool {
+/// Whether something is at the path, a dangling link too.
+pub(crate) fn exists(path: &Path) -> bool {
     path.symlink_metadata().is_ok()
 }
 
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(files(&folder).unwrap(), ["a", "b/c/d"]);
         sync(&folder, &files(&folder).unwrap()).unwrap();
         remove(&folder, None).unwrap();
-        assert!(!stands(&folder));
+        assert!(!exists(&folder));
         remove(&folder, None).unwrap();
     }
 }

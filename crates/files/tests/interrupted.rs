@@ -93,7 +93,7 @@ fn check(out: &Path) -> Result<String, String> {
     word_of(out).map_err(|error| error.to_string())
 }
 
-/// How the destination stands before.
+/// What the destination is before.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Before {
     Nothing,

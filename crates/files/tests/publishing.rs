@@ -92,11 +92,11 @@ fn what_is_not_of_an_earlier_command_is_never_replaced() {
     fs::write(path("cell/postures.csv"), "").unwrap();
     fs::write(path("cell/rig.toml"), "").unwrap();
     assert!(refused(&path("cell")).contains("holds a data set"));
-    // A name that nobody foresaw: told in the end, and the results are kept.
+    // A name that nobody foresaw: reported in the end, and the results are kept.
     fs::create_dir(path("late")).unwrap();
     fs::write(path("late/a.txt"), "mine").unwrap();
     let message = publish(&path("late"), "one").unwrap_err();
-    assert!(message.contains("a.txt stands there") && message.contains("late.unpublished"), "{message}");
+    assert!(message.contains("a.txt is there") && message.contains("late.unpublished"), "{message}");
     assert_eq!((text(path("late/a.txt")), text(path("late.unpublished/a.txt"))), ("mine".into(), "one".into()));
     assert_eq!(listing(&path("late")), ["a.txt"]);
     // Results of another kind.

@@ -82,7 +82,8 @@ impl PinholeCamera {
             && pixel.y <= f64::from(self.height) - 0.5
     }
 
-    /// Where a point in the camera is seen; `None` at or behind the camera's plane. The pixel may lie outside the image.
+    /// Where a point in the camera is seen; `None` at or behind the camera's plane. The pixel may lie outside the
+    /// image.
     #[inline]
     pub fn project(&self, point_in_camera: &Point3) -> Option<Pixel> {
         if point_in_camera.z <= 1e-9 {

@@ -63,7 +63,8 @@ impl DepthImage {
         Ok(DepthImage { width, height, depth_m })
     }
 
-    /// Takes the counts of a camera's 16-bit image: `offset_m + count unit_m`. A count of 0, and what the offset brings to zero or below, is no value.
+    /// Takes the counts of a camera's 16-bit image: `offset_m + count unit_m`. A count of 0, and what the offset brings
+    /// to zero or below, is no value.
     pub fn from_counts(camera: &DepthCamera, counts: &[u16]) -> Result<Self, DepthImageError> {
         let metres = |&count: &u16| match count {
             0 => 0.0,

@@ -1,5 +1,5 @@
-//! Times the inverse kinematics of the HP3-like arm and prints how often and how fast the refinement converges on an arm
-//! that is off by up to 1 deg and 1 mm in every parameter.
+//! Times the inverse kinematics of the HP3-like arm and prints how often and how fast the refinement converges on an
+//! arm that is off by up to 1 deg and 1 mm in every parameter.
 //!
 //! `cargo run --release -p skclam-kinematics --example inverse_kinematics_timing`
 

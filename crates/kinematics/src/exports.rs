@@ -9,11 +9,13 @@ use nalgebra::Vector3;
 const UR_LINKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 
 /// The chain as a `kinematics.yaml` in the layout of Universal Robots' ROS driver (`kinematics_parameters_file`): for
-/// each of six revolute joints the pose of its frame (z along the axis) in the frame of the joint before; metres, radians.
+/// each of six revolute joints the pose of its frame (z along the axis) in the frame of the joint before; metres,
+/// radians.
 ///
-/// That layout has no place for what follows the last axis (`a_6` and `alpha_6` of a classic DH table, a fixed transform
-/// to the flange). Where it is not the identity, a comment at the head of the file gives it, to be added to the tool.
-/// `hash`: goes to the `hash` entry, with which the driver tells one arm's calibration from another's.
+/// That layout has no place for what follows the last axis (`a_6` and `alpha_6` of a classic DH table, a fixed
+/// transform to the flange). Where it is not the identity, a comment at the head of the file gives it, to be added to
+/// the tool. `hash`: goes to the `hash` entry, with which the driver distinguishes one arm's calibration from
+/// another's.
 ///
 /// # Errors
 /// [`KinematicsError::Export`] if the chain is not six revolute joints or `hash` is not a plain word.

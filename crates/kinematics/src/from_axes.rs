@@ -3,8 +3,8 @@
 //!
 //! Frame i has its z along axis i. It meets axis i+1 at the foot of the common normal (DH: `Rx(alpha) Tx(a)` leads
 //! there, `Rz(theta) Tz(d)` turns and slides on), or, for nearly parallel axes, at the point where axis i+1 crosses the
-//! plane `z = 0` of frame i (Hayati: `Rx(alpha) Tx(a) Ry(beta)`), because the common normal of such a pair lies anywhere
-//! and may be far away. What DH cannot express goes to the two fixed transforms at the ends.
+//! plane `z = 0` of frame i (Hayati: `Rx(alpha) Tx(a) Ry(beta)`), because the common normal of such a pair lies
+//! anywhere and may be far away. What DH cannot express goes to the two fixed transforms at the ends.
 
 use crate::chain::JointKind;
 use crate::{ElementaryMotion, Isometry3, Joint, KinematicsError, Link, SerialChain};
@@ -34,7 +34,7 @@ pub struct JointAxis {
 impl SerialChain {
     /// The chain with these axes and with this flange pose when all joint values are zero.
     ///
-    /// Joint 1 has `alpha = a = 0`: where the axis stands in the base is in
+    /// Joint 1 has `alpha = a = 0`: where the axis is in the base is in
     /// [`base_from_first`](SerialChain::base_from_first), the identity if it is the z axis of the base. The
     /// [`last_from_flange`](SerialChain::last_from_flange) is the identity if the flange's z axis is the last axis and
     /// the last link is a DH link.

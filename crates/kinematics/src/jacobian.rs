@@ -71,7 +71,7 @@ mod tests {
     use nalgebra::Matrix4;
     use proptest::prelude::*;
 
-    /// `[twist]^ T`: the derivative of the homogeneous matrix that the twist stands for.
+    /// `[twist]^ T`: the derivative of the homogeneous matrix that belongs to the twist.
     fn matrix_derivative(twist: &Twist, pose: &Isometry3) -> Matrix4<f64> {
         let mut hat = Matrix4::zeros();
         hat.fixed_view_mut::<3, 3>(0, 0).copy_from(&Vector3::new(twist[3], twist[4], twist[5]).cross_matrix());

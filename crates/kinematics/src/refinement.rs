@@ -1,9 +1,9 @@
 //! Numerical inverse kinematics on any chain, by a damped Gauss-Newton method from a start near the solution.
 //!
-//! Minimises `|e(q)|^2`, `e = (t* - t, l log(R* R^T))`, with `l` a length that makes radians comparable to metres.
-//! The step is `J^T (J J^T + mu I)^-1 e = (J^T J + mu I)^-1 J^T e` (Wampler, "Manipulator inverse kinematic solutions based on vector
-//! formulations and damped least-squares methods", 1986), on a
-//! redundant arm the least motion that does it; of the two forms the one with the smaller system is solved. `mu` follows Levenberg and Marquardt.
+//! Minimises `|e(q)|^2`, `e = (t* - t, l log(R* R^T))`, with `l` a length that makes radians comparable to metres. The
+//! step is `J^T (J J^T + mu I)^-1 e = (J^T J + mu I)^-1 J^T e` (Wampler, "Manipulator inverse kinematic solutions based
+//! on vector formulations and damped least-squares methods", 1986), on a redundant arm the least motion that does it;
+//! of the two forms the one with the smaller system is solved. `mu` follows Levenberg and Marquardt.
 
 use crate::chain::JointKind;
 use crate::{ChainJacobian, Isometry3, KinematicsError, SerialChain};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointLimits {
-    /// Limits are not looked at.
+    /// Limits are ignored.
     #[default]
     Ignored,
     /// No joint value leaves its limits: a joint that would is held there, and the others make up for it.
@@ -73,7 +73,7 @@ pub enum Termination {
 /// Joint values and how well they reach the pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InverseKinematics {
-    /// The best joint values found, radians or metres. Whole turns are those of the start.
+    /// The best joint values found, radians or metres. Wrapped as the start is.
     pub joint_values: Vec<f64>,
     /// Distance between the flange's position and the wanted one, metres.
     pub position_error: f64,
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn another_branch_is_told() {
+    fn another_branch_is_reported() {
         let arm = hp3j();
         let pose = arm.base_from_flange(&[0.3, 0.2, -0.4, 0.5, 0.9, 0.2]).unwrap();
         let options = RefinementOptions { largest_change: Some(0.01), ..Default::default() };
@@ -442,11 +442,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn turns_of_the_start_are_kept(turns in prop::collection::vec(-2..=2i32, 6)) {
+        fn wrapping_of_the_start_is_kept(wraps in prop::collection::vec(-2..=2i32, 6)) {
             let arm = hp3j();
             let values = [0.3, 0.2, -0.4, 0.5, 0.9, 0.2];
             let pose = arm.base_from_flange(&values).unwrap();
-            let start: Vec<f64> = values.iter().zip(&turns).map(|(q, turn)| q + 0.01 + std::f64::consts::TAU * f64::from(*turn)).collect();
+            let start: Vec<f64> = values.iter().zip(&wraps).map(|(q, wraps)| q + 0.01 + std::f64::consts::TAU * f64::from(*wraps)).collect();
             let got = refine_inverse_kinematics(&arm, &pose, &start, &RefinementOptions::default()).unwrap();
             prop_assert_eq!(got.termination, Termination::Converged);
             let near = nearby(&SerialChain::new(arm.joints().iter().cloned().map(|joint| Joint { limits: None, ..joint }).collect()).unwrap(), &values, &start).unwrap().unwrap();

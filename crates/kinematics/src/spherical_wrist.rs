@@ -55,8 +55,8 @@ pub enum Wrist {
 pub struct SphericalWristSolution {
     /// Six angles in radians, in `(-pi, pi]`.
     pub joint_values: Vec<f64>,
-    /// Whether every angle, whole turns added where needed, lies within the joint's limits.
-    /// [`nearby`](crate::nearby) adds the turns.
+    /// Whether every angle, wrapped where needed, lies within the joint's limits.
+    /// [`nearby`](crate::nearby) wraps them.
     pub within_limits: bool,
     /// Side of the shoulder.
     pub shoulder: Shoulder,
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_reported_and_turns_found() {
+    fn limits_are_reported_and_wrapped_values_found() {
         let mut joints = hp3_like().joints().to_vec();
         // Shoulder::Back only by a turn; Wrist::Negative not at all.
         joints[0].limits = Some([0.0, 4.0]);

@@ -1,4 +1,4 @@
-//! Whole turns: of all angles that are the same posture, the one that a controller wants.
+//! Angle wrapping: of all angles that are the same posture, the one that a controller wants.
 
 use crate::{Joint, JointKind, KinematicsError, SerialChain};
 use std::f64::consts::{PI, TAU};
@@ -16,8 +16,8 @@ pub(crate) fn wrapped(angle: f64) -> f64 {
     }
 }
 
-/// The joint value with whole turns added, every one that lies within the limits, upwards; without limits, one: in
-/// `(-pi, pi]`. A prismatic joint has no turns.
+/// The joint value with multiples of 2 pi added, every one that lies within the limits, upwards; without limits, one:
+/// in `(-pi, pi]`. A prismatic joint is not wrapped.
 pub(crate) fn admitted_revolutions(joint: &Joint, value: f64) -> impl Iterator<Item = f64> {
     let (first, count) = match (joint.kind, joint.limits) {
         (JointKind::Prismatic, _) => (value, usize::from(joint.admits(value))),
@@ -32,7 +32,7 @@ pub(crate) fn admitted_revolutions(joint: &Joint, value: f64) -> impl Iterator<I
     (0..count).map(move |turn| first + TAU * turn as f64)
 }
 
-/// The same posture with whole turns added to the revolute joints so that each joint is as near as it can be to a
+/// The same posture with multiples of 2 pi added to the revolute joints so that each joint is as near as it can be to a
 /// reference and within its limits; `None` where some joint cannot be brought within them.
 ///
 /// `joint_values`, `reference`: radians or metres, one a joint.
@@ -50,11 +50,11 @@ pub fn nearby(
         (JointKind::Prismatic, _) => joint.admits(value).then_some(value),
         (JointKind::Revolute, None) => Some(reference + wrapped(value - reference)),
         (JointKind::Revolute, Some([lower, upper])) => {
-            // Turns are one in TAU apart: the nearest admitted one is the first or last one, or next to the reference.
+            // Candidates are TAU apart: the nearest admitted one is the first or last one, or next to the reference.
             let free = reference + wrapped(value - reference);
-            let turns_up = if free < lower { ((lower - free) / TAU).ceil() } else { 0.0 };
-            let turns_down = if free > upper { ((free - upper) / TAU).ceil() } else { 0.0 };
-            let inside = free + TAU * (turns_up - turns_down);
+            let wraps_up = if free < lower { ((lower - free) / TAU).ceil() } else { 0.0 };
+            let wraps_down = if free > upper { ((free - upper) / TAU).ceil() } else { 0.0 };
+            let inside = free + TAU * (wraps_up - wraps_down);
             joint.admits(inside).then_some(inside)
         }
     };
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_turn_is_positive() {
+    fn pi_is_positive() {
         assert_eq!(wrapped(-PI), PI);
         assert_eq!(wrapped(PI), PI);
         assert_eq!(wrapped(3.0 * PI), PI);
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_stay_within_limits() {
+    fn wrapped_values_stay_within_limits() {
         let degrees = |angles: &[f64]| angles.iter().map(|a| a.to_radians()).collect::<Vec<f64>>();
         let arm =
             SerialChain::new(vec![joint().with_limits(-105f64.to_radians(), 260f64.to_radians()), joint()]).unwrap();
@@ -99,7 +99,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_nearest_of_all_turns_is_found(value in -30.0..30.0f64, reference in -30.0..30.0f64, lower in -9.0..9.0f64, span in 0.0..20.0f64) {
+        fn the_nearest_wrapped_value_is_found(value in -30.0..30.0f64, reference in -30.0..30.0f64, lower in -9.0..9.0f64, span in 0.0..20.0f64) {
             let arm = SerialChain::new(vec![joint().with_limits(lower, lower + span)]).unwrap();
             let got = nearby(&arm, &[value], &[reference]).unwrap();
             let candidates: Vec<f64> =

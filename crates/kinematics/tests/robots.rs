@@ -1,7 +1,7 @@
 //! The arms in `robots/` against published descriptions of the same arms.
 //!
-//! The tables below are the joint origins and axes of public URDFs (facts; sources are named in the rig files), typed in
-//! as URDF has them. Forward kinematics by URDF's definition must be those of the rig file, at zero and elsewhere.
+//! The tables below are the joint origins and axes of public URDFs (facts; sources are named in the rig files), typed
+//! in as URDF has them. Forward kinematics by URDF's definition must be those of the rig file, at zero and elsewhere.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use skclam_kinematics::{JointKind, LinkForm, SerialChain, chain_from_urdf, spherical_wrist_solutions, write_urdf};
@@ -238,7 +238,8 @@ fn every_arm_is_the_published_one() {
     }
 }
 
-/// In, out, in again: the published arm as a URDF, the rig file's chain with every parameter moved as the calibrated one.
+/// In, out, in again: the published arm as a URDF, the rig file's chain with every parameter moved as the calibrated
+/// one.
 #[test]
 fn every_arm_goes_through_urdf_and_back() {
     for published in PUBLISHED {
@@ -287,8 +288,8 @@ fn spherical_wrists_have_eight_solutions_and_the_others_none() {
     }
 }
 
-/// No public description of these is known: the lengths are checked by hand. With the angles of the paper's Table 1 both
-/// arms stand straight up at zero; with joint 3 at 90 deg the forearm points ahead, the elbow's offset upwards.
+/// No public description of these is known: the lengths are checked by hand. With the angles of the paper's Table 1
+/// both arms point straight up at zero; with joint 3 at 90 deg the forearm points ahead, the elbow's offset upwards.
 #[test]
 fn the_arms_of_the_paper_in_two_poses() {
     for (file, [base, shoulder, lower, elbow, fore, hand]) in [

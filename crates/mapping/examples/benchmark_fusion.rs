@@ -19,7 +19,7 @@ fn memory_mib(name: &str) -> u64 {
     line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// CPU time of this process so far, all threads, ms; 0 where it cannot be told. In steps of 10 ms.
+/// CPU time of this process so far, all threads, ms; 0 where it is not known. In steps of 10 ms.
 fn cpu_ms() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();

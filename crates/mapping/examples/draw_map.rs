@@ -18,7 +18,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let folder = PathBuf::from(arguments.next().ok_or("the dataset's folder is needed")?);
-    let out = PathBuf::from(arguments.next().ok_or("a folder for the pictures is needed")?);
+    let out = PathBuf::from(arguments.next().ok_or("a folder for the images is needed")?);
     let voxel_m = arguments.next().map_or(Ok(3.0), |text| text.parse::<f64>())? / 1000.0;
     let dataset = dataset::load(&folder, usize::MAX);
     std::fs::create_dir_all(&out)?;

@@ -43,7 +43,8 @@ pub enum BodyShape {
 }
 
 impl BodyShape {
-    /// Distance of a point from the solid, 0 inside; of a mesh, from the surface. Exact up to `limit_m`, beyond it anything larger.
+    /// Distance of a point from the solid, 0 inside; of a mesh, from the surface. Exact up to `limit_m`, beyond it
+    /// anything larger.
     fn distance(&self, point: &Vector3<f64>, limit_m: f64) -> f64 {
         match self {
             BodyShape::Cuboid { half_edges_m } => {
@@ -83,7 +84,8 @@ pub struct Body {
 /// The depth image without the pixels whose points lie in a body or within `margin_m` of one; they become 0.
 ///
 /// # Errors
-/// A size that is not the camera's, a margin that is not between 0 and 0.5 m, a shape or a pose with numbers that make no sense.
+/// A size that is not the camera's, a margin that is not between 0 and 0.5 m, a shape or a pose with numbers that make
+/// no sense.
 pub fn without_bodies(
     depth: &DepthImage,
     camera: &DepthCamera,

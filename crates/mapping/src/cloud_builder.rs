@@ -46,7 +46,7 @@ pub enum PointNormals {
     None,
 }
 
-/// Which depth a point stands at.
+/// Which depth a point gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PointDepths {
@@ -71,7 +71,7 @@ pub struct CloudOptions {
     pub uncolored: UncoloredPoints,
     /// Whether points get normals, fitted to their surroundings in the depth image.
     pub normals: PointNormals,
-    /// Which depth a point stands at.
+    /// Which depth a point gets.
     pub depths: PointDepths,
     /// Memory that the cloud may take while it is built, MiB.
     pub memory_limit_mib: u64,

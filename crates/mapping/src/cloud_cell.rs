@@ -79,7 +79,7 @@ impl std::fmt::Debug for Cell {
     }
 }
 
-/// A share of all cells. The table holds places, not cells: its empty slots, up to half of all, stay small.
+/// A shard of all cells. The table holds places, not cells: its empty slots, up to half of all, stay small.
 #[derive(Debug, Default)]
 pub(crate) struct Shard {
     place: VoxelMap<u32>,

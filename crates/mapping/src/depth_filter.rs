@@ -54,8 +54,8 @@ pub struct DepthFilter {
     /// Pixels this close to a depth discontinuity are dropped, since cameras blend both sides there ("flying pixels");
     /// 0 keeps them.
     pub edge_margin_px: u32,
-    /// Neighbours whose depths differ by more than this share of the depth, and four sigma of their noise on top, lie
-    /// on different surfaces.
+    /// Neighbours whose depths differ by more than this fraction of the depth, and four sigma of their noise on top,
+    /// lie on different surfaces.
     pub edge_step: f64,
     /// The noise of the depth camera.
     pub noise: DepthNoise,
@@ -87,7 +87,7 @@ impl DepthFilter {
             return Err(Error::Option {
                 option: "edge_step",
                 value: self.edge_step.to_string(),
-                need: "a positive share of the depth is needed",
+                need: "a positive fraction of the depth is needed",
             });
         }
         if self.edge_margin_px > 64 {

@@ -23,7 +23,7 @@ pub enum Error {
     /// A pose or a camera holds a number that is not finite, or a focal length that is not positive.
     #[error("{what} holds {value}; {need} is needed")]
     BadNumber {
-        /// Where the number stands.
+        /// Where the number is.
         what: &'static str,
         /// The number as text, since NaN equals nothing.
         value: String,

@@ -7,11 +7,11 @@
 //! - [`CloudBuilder`] piles the views up into a coloured [`PointCloud`], the map of the paper;
 //! - [`Tsdf`] fuses them into one clean surface, a [`TriangleMesh`];
 //! - [`depth_consistency`] and [`score_surface`] say how good a map is;
-//! - [`OccupancyGrid`] tells free, occupied and unknown space, as OctoMap files and as a distance field;
+//! - [`OccupancyGrid`] separates free, occupied and unknown space, as OctoMap files and as a distance field;
 //! - [`without_bodies`] keeps the arm and its gripper out of them;
 //! - [`render`] draws a map without a window;
-//! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`], [`write_stl`]
-//!   and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
+//! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`],
+//!   [`write_stl`] and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
 
 mod bodies;
 mod cloud;

@@ -1,7 +1,7 @@
 //! Distance from a point to the nearest point of a cloud or of a mesh's triangles, exactly.
 //!
 //! A bounding volume hierarchy over triangles, points being triangles of no extent. Distances to samples of a surface,
-//! as a k-d tree gives them, would add the spacing of the samples to every figure.
+//! as a k-d tree gives them, would add the spacing of the samples to every distance.
 
 use crate::{Error, Model};
 use nalgebra::Vector3;
@@ -88,7 +88,7 @@ impl SurfaceIndex {
 }
 
 impl SurfaceIndex {
-    /// Whether a triangle stands between two points, not counting the last `clearance_m` before the second. Points
+    /// Whether a triangle is between two points, not counting the last `clearance_m` before the second. Points
     /// of a cloud hide nothing.
     pub fn hides(&self, from: [f32; 3], to: [f32; 3], clearance_m: f32) -> bool {
         let origin = Vector3::from(from);
@@ -149,7 +149,7 @@ fn crosses(origin: &Vector3<f32>, direction: &Vector3<f32>, farthest: f32, trian
     u >= 0.0 && v >= 0.0 && u + v <= 1.0 && distance > 0.0 && distance < farthest
 }
 
-/// Builds the subtree over `triangles`, the first of which stands at `first` in the whole list.
+/// Builds the subtree over `triangles`, the first of which is at `first` in the whole list.
 fn build(nodes: &mut Vec<Node>, triangles: &mut [[[f32; 3]; 3]], first: usize) {
     let mut node = Node { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3], link: first as u32, count: 0 };
     for corner in triangles.iter().flatten() {

@@ -204,7 +204,7 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// Indices as they stand in the file; -1 and beyond are refused later, with the face's number.
+/// Indices as written in the file; -1 and beyond are refused later, with the face's number.
 struct Face(Vec<i64>);
 
 impl PropertyAccess for Face {

@@ -89,8 +89,8 @@ impl Projector {
         (z > NEAREST) & (u >= 0.0) & (v >= 0.0) & (u < self.width) & (v < self.height)
     }
 
-    /// All bits set where [`Projector::sees`] is false, else none, for a finite `z` and what it was projected to: signs,
-    /// so that compilers see nothing to branch on in loops over several points.
+    /// All bits set where [`Projector::sees`] is false, else none, for a finite `z` and what it was projected to:
+    /// signs, so that compilers see nothing to branch on in loops over several points.
     #[inline(always)]
     pub(crate) fn outside(&self, z: f32, u: f32, v: f32) -> i32 {
         let signs = (z - NEAREST).to_bits() | u.to_bits() | v.to_bits();

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use skclam_geometry::{PinholeCamera, Pixel, Point3};
 
-/// Row-major; the two planes stand by themselves for loops over several pixels at a time.
+/// Row-major; the two planes are separate for loops over several pixels at a time.
 #[derive(Debug, Clone)]
 pub(crate) struct Rays {
     camera: PinholeCamera,

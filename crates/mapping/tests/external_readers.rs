@@ -253,9 +253,10 @@ fn the_point_cloud_library_reads_clouds_and_meshes() {
     write_ply(&Model::Mesh(mesh), scratch.file("mesh.ply")).unwrap();
     let run = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).current_dir(&scratch.0).output().unwrap();
-        let told = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{program} {arguments:?}: {told}");
-        told
+        let output_text =
+            String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{program} {arguments:?}: {output_text}");
+        output_text
     };
     run("pcl_ply2pcd", &["cloud.ply", "from_ply.pcd"]);
     run("pcl_ply2pcd", &["mesh.ply", "from_mesh.pcd"]);

@@ -36,7 +36,7 @@ fn the_fused_surface_is_nearer_to_the_truth_than_the_pixels_are() {
 }
 
 #[test]
-fn gaps_between_views_tell_true_poses_from_wrong_ones() {
+fn depth_consistency_separates_true_poses_from_wrong_ones() {
     let Some(folder) = dataset::data_folder("virtual-cell") else { return };
     let cell = dataset::load(&folder, VIEWS);
     let options = DepthConsistencyOptions { stride: 8, ..Default::default() };

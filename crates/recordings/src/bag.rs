@@ -11,9 +11,9 @@ const FIRST_LINE: &[u8] = b"#ROSBAG V2.0\n";
 const MESSAGE: u8 = 0x02;
 const CHUNK: u8 = 0x05;
 const CONNECTION: u8 = 0x07;
-/// Bytes of a record's header at the most: some fields, of which a topic's name is the longest.
+/// Bytes of a record's header at most: some fields, of which a topic's name is the longest.
 const MAX_HEADER: u64 = 1 << 16;
-/// Bytes of a connection's data at the most: a message definition.
+/// Bytes of a connection's data at most: a message definition.
 const MAX_CONNECTION: u64 = 4 << 20;
 
 #[derive(Debug)]

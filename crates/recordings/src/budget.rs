@@ -1,4 +1,4 @@
-//! How much may be unpacked: a few hundred bytes of a compressor can stand for gigabytes of nothing, and hours of
+//! How much may be unpacked: a few hundred bytes of a compressor can unpack to gigabytes of nothing, and hours of
 //! reading.
 
 use crate::bytes::Problem;

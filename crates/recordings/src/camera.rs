@@ -3,7 +3,7 @@
 use crate::{CameraInfo, RecordingError};
 use skclam_geometry::{DISTORTION_COEFFICIENTS, PinholeCamera};
 
-/// The largest image side that is believed, pixels.
+/// The largest image side that is accepted, pixels.
 pub(crate) const MAX_SIDE: u32 = 32_768;
 
 /// The camera of a `CameraInfo`, and a remark where something had to be assumed.

@@ -32,7 +32,7 @@ impl Database {
         let mut row_id = 0;
         (|| {
             *topics = read_topics(connection, visitor)?;
-            // By number and not by time: this needs no sorting, and a time that jumped back is told as such.
+            // By number and not by time: this needs no sorting, and a time that jumped back is reported as such.
             let mut statement =
                 connection.prepare("SELECT id, topic_id, timestamp FROM messages ORDER BY id").map_err(problem)?;
             let mut rows = statement.query([]).map_err(problem)?;
@@ -97,7 +97,7 @@ fn connect(path: &Path) -> Result<Connection, Problem> {
     // Asked first: SQLite makes the log anew, and empty, where it is missing.
     let is_empty = |log: &PathBuf| log.metadata().map_or(true, |metadata| metadata.is_file() && metadata.len() == 0);
     let missing_log = write_ahead_log(path)?.filter(is_empty);
-    // SQLite opens what stands beside the database under its name, whatever it is.
+    // SQLite opens what is beside the database under its name, whatever it is.
     for ending in ["-wal", "-shm", "-journal"] {
         let mut beside = path.as_os_str().to_owned();
         beside.push(ending);

@@ -92,11 +92,11 @@ pub struct JointTrack {
     offered: usize,
 }
 
-/// Numbers that a track holds at the most: 64 MiB.
+/// Numbers that a track holds at most: 64 MiB.
 const MAX_VALUES: usize = 1 << 23;
 
 impl JointTrack {
-    /// An empty track. `wraps`: for each value, whether it is an angle that may jump by a whole turn.
+    /// An empty track. `wraps`: for each value, whether it is an angle that may jump by 2 pi.
     pub fn new(wraps: Vec<bool>) -> Self {
         JointTrack { width: wraps.len(), wraps, stride: 1, ..JointTrack::default() }
     }
@@ -155,7 +155,7 @@ impl JointTrack {
         &self.values[index * self.width..(index + 1) * self.width]
     }
 
-    /// The largest change of a joint between two samples, radians or metres; whole turns do not count.
+    /// The largest change of a joint between two samples, radians or metres; after wrapping.
     pub fn largest_change(&self, a: usize, b: usize) -> f64 {
         let change = |joint: usize| self.difference(joint, self.at(a)[joint], self.at(b)[joint]).abs();
         (0..self.width).map(change).fold(0.0, f64::max)

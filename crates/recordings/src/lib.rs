@@ -4,8 +4,8 @@
 //! `.db3`, and folders in the layout of the TUM RGB-D benchmark. Begin with [`Recording::open`], then
 //! [`Recording::scan`]; [`plan_postures`] says which images are worth decoding.
 //!
-//! Everything is read as a stream in memory that does not grow with the recording, and no length that a file claims is
-//! believed before the bytes are there: what is damaged is an error with its place, never a giant allocation. The
+//! Everything is read as a stream in memory that does not grow with the recording, and no length that a file claims
+//! is trusted before the bytes are there: what is damaged is an error with its place, never a giant allocation. The
 //! published readers of these formats map whole files into memory or allocate what a length field says, hence ours.
 //!
 //! This crate knows joints by name and cameras by their intrinsics. It knows no estimator, no features and no map.
@@ -43,5 +43,5 @@ pub use stationary::{StationaryInterval, find_stationary_intervals};
 pub use survey::{ClockJump, Survey, TopicSurvey, survey};
 pub use wire::WireFormat;
 
-/// Bytes of one message at the most: an image of 8192 x 5461 pixels in `rgb8`.
+/// Bytes of one message at most: an image of 8192 x 5461 pixels in `rgb8`.
 pub const MAX_MESSAGE_BYTES: u64 = 128 << 20;

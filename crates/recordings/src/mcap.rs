@@ -177,7 +177,7 @@ fn plain_record(
         }
         _ => {}
     }
-    // What else stands in the record: the text of a schema, metadata of a channel, records of no interest.
+    // What else is in the record: the text of a schema, metadata of a channel, records of no interest.
     let used = begin - bytes.left();
     let rest = length.checked_sub(used).ok_or_else(|| format!("a record of {length} bytes that needs {used}"))?;
     bytes.skip(rest)

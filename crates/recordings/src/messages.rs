@@ -1,5 +1,5 @@
-//! The message types that matter here, parsed without copying pixels. Both wire formats have the same fields in the same
-//! order (the `.msg` files of `common_interfaces`), but for `seq` in the header of ROS 1.
+//! The message types that matter here, parsed without copying pixels. Both wire formats have the same fields in the
+//! same order (the `.msg` files of `common_interfaces`), but for `seq` in the header of ROS 1.
 
 use crate::wire::{Wire, WireProblem};
 use crate::{RecordingError, WireFormat};
@@ -81,7 +81,7 @@ fn header<'a>(wire: &mut Wire<'a>) -> Result<Header<'a>, WireProblem> {
     Ok(Header { stamp: seconds * 1_000_000_000 + i64::from(nanoseconds), frame_id: wire.string()? })
 }
 
-/// Size and encoding of an image, which stand before its pixels.
+/// Size and encoding of an image, which come before its pixels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImageHead<'a> {
     /// Stamp and frame.
@@ -179,7 +179,7 @@ fn parsed<'a, T>(
 }
 
 impl<'a> Header<'a> {
-    /// Parses the header of any message that has one, from its first bytes. `topic` stands in errors, here and below.
+    /// Parses the header of any message that has one, from its first bytes. `topic` appears in errors, here and below.
     pub fn parse(topic: &str, format: WireFormat, bytes: &'a [u8]) -> Result<Self, RecordingError> {
         parsed(topic, format, bytes, header)
     }

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Selection {
-    /// [`Still`](Selection::Still), or [`Snapshots`](Selection::Snapshots) where joints come so seldom that no speed can
-    /// be told from them.
+    /// [`Still`](Selection::Still), or [`Snapshots`](Selection::Snapshots) where joints come so seldom that no speed
+    /// can be derived from them.
     #[default]
     Automatic,
     /// One image each time that the arm stands still.
@@ -41,7 +41,7 @@ pub struct SelectionOptions {
     pub joint_tolerance_s: f64,
     /// A depth image is at most so far from its colour image, seconds.
     pub depth_tolerance_s: f64,
-    /// Images of a stand that are compared for sharpness, at the most.
+    /// Images of a stationary interval that are compared for sharpness, at most.
     pub candidates: usize,
 }
 
@@ -228,7 +228,7 @@ impl Planner<'_> {
         if candidates.iter().any(|candidate| candidate.depth.is_some()) {
             candidates.retain(|candidate| candidate.depth.is_some());
         }
-        // Spread over the stand; the later ones are the calmer ones, so the last is always among them.
+        // Spread over the interval; the later ones are the calmer ones, so the last is always among them.
         let (count, most) = (candidates.len(), self.options.candidates);
         if count > most {
             let chosen: Vec<usize> = (1..=most).map(|step| step * count / most - 1).collect();
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_posture_a_stand_with_settled_images_and_their_depth() {
+    fn a_posture_per_stationary_interval_with_settled_images_and_their_depth() {
         let color = images((0..150).map(|index| index * 33));
         let depth = images((0..150).map(|index| index * 33 + 8));
         let plan = plan_postures(&track(), &color, &depth, &SelectionOptions::default()).unwrap();

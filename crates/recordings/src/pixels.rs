@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_that_do_not_fit_are_told() {
+    fn sizes_that_do_not_fit_are_reported() {
         for bad in [
             image("mono8", 4, 4, 4, &[0; 15]),
             image("mono8", 4, 4, 3, &[0; 16]),

@@ -104,7 +104,7 @@ enum RecordingFile {
     Tum(TumFolder),
 }
 
-/// What a reader is asked for, and whom it tells.
+/// What a reader is asked for, and to whom it reports.
 pub(crate) struct Visitor<'a> {
     pub topics: &'a mut Vec<Topic>,
     pub file: u32,
@@ -195,7 +195,7 @@ impl Visitor<'_> {
 }
 
 impl Recording {
-    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder.
+    /// Opens a file (`.bag`, `.mcap`, `.db3`, recognised by their content), a folder of rosbag2 or a TUM folder.
     ///
     /// # Errors
     /// [`RecordingError::Format`] for anything else, with what was found.

@@ -3,8 +3,8 @@
 use image::GrayImage;
 use serde::Serialize;
 
-/// Mean squared response of the Laplacian over the image, divided by the variance of the grey values: what share of an
-/// image's contrast is fine detail. 0 for an even image; motion and defocus lower it. To be compared among images of
+/// Mean squared response of the Laplacian over the image, divided by the variance of the grey values: what fraction of
+/// an image's contrast is fine detail. 0 for an even image; motion and defocus lower it. To be compared among images of
 /// the same scene and size.
 pub fn sharpness(image: &GrayImage) -> f64 {
     let (width, height) = (image.width() as usize, image.height() as usize);
@@ -30,16 +30,16 @@ pub fn sharpness(image: &GrayImage) -> f64 {
     if variance <= 0.0 { 0.0 } else { response as f64 / count / variance }
 }
 
-/// Shares of pixels at both ends of the scale, and the mean.
+/// Fractions of pixels at both ends of the scale, and the mean.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Exposure {
     /// Mean grey value, 0 to 255.
     pub mean: f64,
     /// Standard deviation of the grey values.
     pub sd: f64,
-    /// Share of pixels at 4 or less.
+    /// Fraction of pixels at 4 or less.
     pub dark: f64,
-    /// Share of pixels at 251 or more.
+    /// Fraction of pixels at 251 or more.
     pub bright: f64,
 }
 

@@ -17,8 +17,8 @@ const SPEED_WINDOW: Stamp = 100_000_000;
 /// The intervals in which every joint was slower than `max_joint_speed` for at least `min_stationary_s`, in order.
 ///
 /// A speed is the change over 0.1 s, or between the neighbouring samples where these are further apart. Where no sample
-/// came for longer than `max_gap_s` nobody knows what the arm did, and a stand ends; two stands at the same joint values
-/// with such a gap between are one.
+/// came for longer than `max_gap_s` nobody knows what the arm did, and the interval ends; two intervals at the same
+/// joint values with such a gap between are one.
 pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions) -> Vec<StationaryInterval> {
     let times = track.times();
     let max_gap = nanoseconds(options.max_gap_s);
@@ -57,7 +57,7 @@ pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions)
 /// Joint values that are the same posture for an encoder, radians or metres.
 const SAME_POSTURE: f64 = 2e-4;
 
-/// The largest joint speed about a sample, rad/s or m/s; infinite where nothing is near enough to tell.
+/// The largest joint speed about a sample, rad/s or m/s; infinite where no sample is near enough.
 fn speed(track: &JointTrack, index: usize, max_gap: Stamp) -> f64 {
     let times = track.times();
     let mut first = index;
@@ -88,7 +88,7 @@ pub(crate) fn nanoseconds(seconds: f64) -> Stamp {
 mod tests {
     use super::*;
 
-    /// Stands at 0 rad for 1 s, moves to 1 rad in 1 s, stands for 1 s; 100 Hz with a step of the encoder.
+    /// Rests at 0 rad for 1 s, moves to 1 rad in 1 s, rests for 1 s; 100 Hz with a step of the encoder.
     fn track(from_ms: i64) -> JointTrack {
         let mut track = JointTrack::new(vec![true, true]);
         for step in from_ms / 10..300 {
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn stands_are_found_between_motions() {
+    fn intervals_are_found_between_motions() {
         let intervals = find_stationary_intervals(&track(0), &SelectionOptions::default());
         assert_eq!(intervals.len(), 2);
         let seconds = |stamp: Stamp| stamp as f64 * 1e-9;
@@ -109,11 +109,11 @@ mod tests {
             "{intervals:?}"
         );
         let short = find_stationary_intervals(&track(700), &SelectionOptions::default());
-        assert_eq!(short.len(), 1, "0.25 s are not a stand: {short:?}");
+        assert_eq!(short.len(), 1, "0.25 s are no stationary interval: {short:?}");
     }
 
     #[test]
-    fn a_gap_ends_a_stand_unless_the_arm_is_where_it_was() {
+    fn a_gap_ends_an_interval_unless_the_arm_is_where_it_was() {
         let mut parted = JointTrack::new(vec![true]);
         for step in 0..100 {
             parted.push(step * 10_000_000, &[0.0]);

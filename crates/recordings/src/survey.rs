@@ -56,7 +56,7 @@ pub struct ClockJump {
     pub jump_s: f64,
 }
 
-/// Distances of stamps that the median is made of, at the most.
+/// Distances of stamps that the median is made of, at most.
 const MAX_GAPS: usize = 1 << 16;
 /// Jumps that are listed.
 const MAX_JUMPS: usize = 10;
@@ -72,7 +72,7 @@ struct Running {
     gaps: Vec<Stamp>,
 }
 
-/// Reads a recording once and tells what is in it. Checksums are verified.
+/// Reads a recording once and reports what is in it. Checksums are verified.
 ///
 /// # Errors
 /// As [`Recording::scan`]; a message of a known type that cannot be parsed.

@@ -1,7 +1,7 @@
 //! The two wire formats of ROS messages: little-endian and packed (ROS 1), and CDR (ROS 2; OMG DDS-XTypes 7.4.1, the
 //! plain encoding), in which every number is aligned to its size, counted from behind a header of four bytes.
 //!
-//! A length is believed only as far as bytes are there, so that a damaged one is an error and no allocation.
+//! A length is trusted only as far as bytes are there, so that a damaged one is an error and no allocation.
 
 use serde::Serialize;
 
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_are_not_believed() {
+    fn lengths_are_not_trusted() {
         let lies = [0xff, 0xff, 0xff, 0xff, 1, 2, 3];
         let wire = || Wire::new(WireFormat::Ros1, &lies).unwrap();
         assert!(wire().string().unwrap_err().contains("4294967295 bytes"));

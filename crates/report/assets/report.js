@@ -9,7 +9,7 @@
   const font = { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif", size: 12 };
   const quiet = { displayModeBar: false, responsive: true };
   const charts = json("charts-data");
-  // Plots side by side need room for their titles: two in a row on a narrow screen.
+  // Plots side by side need space for their titles: two in a row on a narrow screen.
   const narrowed = (layout, place) => {
     if (!layout.grid || layout.grid.columns < 3 || place.clientWidth > 560) return;
     const count = Object.keys(layout).filter((key) => key.startsWith("xaxis")).length;
@@ -46,7 +46,7 @@
     const floats = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Float32Array.from({ length: b.length / 4 }, (_, k) => v.getFloat32(4 * k, true)); };
     const shorts = (text) => { const b = bytes(text), v = new DataView(b.buffer); return Uint16Array.from({ length: b.length / 2 }, (_, k) => v.getUint16(2 * k, true)); };
     const axis = (points, k) => Float32Array.from({ length: points.length / 3 }, (_, i) => points[3 * i + k]);
-    const quantile = (values, share) => { const sorted = Float64Array.from(values).sort(); return sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 0; };
+    const quantile = (values, fraction) => { const sorted = Float64Array.from(values).sort(); return sorted.length ? sorted[Math.round(fraction * (sorted.length - 1))] : 0; };
     const views = {};
     let rgb, images, limit = 1;
     if (scene.map) {
@@ -55,10 +55,10 @@
       images = shorts(scene.map.postures);
       for (const rig of ["nominal", "calibrated"]) {
         const points = floats(scene.map[rig + "_m"]);
-        views[rig] = { x: axis(points, 0), y: axis(points, 1), z: axis(points, 2), gap: floats(scene.map[`gaps_${rig}_mm`]) };
+        views[rig] = { x: axis(points, 0), y: axis(points, 1), z: axis(points, 2), distance: floats(scene.map[`point_to_plane_${rig}_mm`]) };
       }
       // One scale for both, so that the switch shows the difference.
-      limit = Math.max(quantile(views.nominal.gap.filter((v) => !Number.isNaN(v)), 0.9), quantile(views.calibrated.gap.filter((v) => !Number.isNaN(v)), 0.9), 0.1);
+      limit = Math.max(quantile(views.nominal.distance.filter((v) => !Number.isNaN(v)), 0.9), quantile(views.calibrated.distance.filter((v) => !Number.isNaN(v)), 0.9), 0.1);
     }
     // A few stray points must not make the rest small.
     const range = (k) => {
@@ -78,13 +78,13 @@
       switch (choice("color")) {
         case "image":
           return [{ ...base, marker: { size: 1.6, color: images, colorscale: "Viridis", cmin: 0, cmax: scene.calibrated.length - 1, showscale: true, colorbar: bar("image (position in the recording)") } }];
-        case "gap": {
-          const seen = [], alone = [];
-          view.gap.forEach((v, k) => (Number.isNaN(v) ? alone : seen).push(k));
+        case "distance": {
+          const compared = [], alone = [];
+          view.distance.forEach((v, k) => (Number.isNaN(v) ? alone : compared).push(k));
           const part = (keep) => ({ ...base, x: keep.map((k) => view.x[k]), y: keep.map((k) => view.y[k]), z: keep.map((k) => view.z[k]) });
           return [
             { ...part(alone), marker: { size: 1.2, color: color("--line") } },
-            { ...part(seen), marker: { size: 1.8, color: seen.map((k) => view.gap[k]), colorscale: "Cividis", cmin: 0, cmax: limit, showscale: true, colorbar: bar("disagreement (mm)") } },
+            { ...part(compared), marker: { size: 1.8, color: compared.map((k) => view.distance[k]), colorscale: "Cividis", cmin: 0, cmax: limit, showscale: true, colorbar: bar("point to plane (mm)") } },
           ];
         }
         default:
@@ -98,10 +98,10 @@
       line: { color: tint, width: 2 }, marker: { size: 3, color: tint, symbol },
     });
     const axes = (text, line) => Object.fromEntries([0, 1, 2].map((k) => [`${"xyz"[k]}axis`, { title: { text: `${"xyz"[k]} (m)` }, range: ranges[k], color: text, gridcolor: line, zerolinecolor: line, showbackground: false, showspikes: false }]));
-    // Paper shows a picture, as what a graphics card drew cannot be printed; always dark on white.
-    const picture = new Image();
-    picture.className = "paper";
-    picture.alt = "The 3D view";
+    // Paper shows an image, as what a graphics card drew cannot be printed; always dark on white.
+    const image = new Image();
+    image.className = "paper";
+    image.alt = "The 3D view";
     let asked = 0;
     const snapshot = async (delay = 700) => {
       const mine = ++asked;
@@ -111,17 +111,17 @@
       layout.scene = { ...place.layout.scene, ...axes("#000000", "#bbbbbb"), camera: place._fullLayout.scene.camera };
       const url = await Plotly.toImage({ data: place.data, layout }, { format: "jpeg", width: 900, height: 480, scale: 1.5 });
       if (mine === asked) {
-        picture.src = url;
-        await picture.decode().catch(() => {});
-        if (!picture.isConnected) place.after(picture);
+        image.src = url;
+        await image.decode().catch(() => {});
+        if (!image.isConnected) place.after(image);
         hasty?.remove();
       }
     };
-    // Whoever prints before that picture is there gets what the screen shows, taken over at once.
+    // Whoever prints before that image is there gets what the screen shows, taken over at once.
     let hasty = null;
     addEventListener("beforeprint", () => {
       const glplot = place._fullLayout?.scene?._scene?.glplot;
-      if (picture.isConnected || !glplot) return;
+      if (image.isConnected || !glplot) return;
       glplot.redraw();
       const shown = glplot.gl.canvas;
       hasty?.remove();
@@ -148,8 +148,8 @@
         scene: { ...axes(text, line), domain: { x: [0, (choice("color") || "photo") === "photo" ? 1 : 0.87] }, aspectmode: "data", camera: home, dragmode: "orbit", uirevision: "same" },
       };
       const said = byId("scene-said");
-      if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", gap: "disagreement of the surfaces" }[choice("color")]}` : ""}.`;
-      // The first picture soon, later ones when the hand rests.
+      if (said) said.textContent = `Shown: ${rig} poses${scene.map ? `, coloured by ${{ photo: "photograph", image: "image", distance: "depth consistency (point to plane)" }[choice("color")]}` : ""}.`;
+      // The first image soon, later ones when the hand rests.
       snapshot(asked ? 700 : 50);
       return Plotly.react(place, data, layout, { displayModeBar: false, responsive: true });
     };

@@ -61,15 +61,15 @@ fn grouped(value: f64) -> String {
     if value < 0.0 { format!("-{out}") } else { out }
 }
 
-/// Shows metrics of `summary.json` and says where each is from: `<data value="..." data-from="/json/pointer">text</data>`, the value
-/// as it stands in the file, the text with fewer digits.
+/// Shows metrics of `summary.json` and says where each is from: `<data value="..."
+/// data-from="/json/pointer">text</data>`, the value as written in the file, the text with fewer digits.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers<'a> {
     run: &'a RunResult,
 }
 
 impl<'a> Numbers<'a> {
-    /// Figures of this run.
+    /// Numbers of this run.
     pub fn of(run: &'a RunResult) -> Self {
         Numbers { run }
     }
@@ -100,7 +100,7 @@ impl<'a> Numbers<'a> {
     }
 }
 
-/// A chart: data and layout of plotly.js, and what a person who cannot see it is told.
+/// A chart: data and layout of plotly.js, and its description for a person who cannot see it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
     /// Unique in the page.
@@ -115,7 +115,8 @@ pub struct Chart {
     pub layout: Value,
     /// Height in CSS pixels.
     pub height: u32,
-    /// Greatest width in CSS pixels; `None` for the page's. For plots with one scale on both axes, which would leave the rest empty.
+    /// Greatest width in CSS pixels; `None` for the page's. For plots with one scale on both axes, which would leave
+    /// the rest empty.
     pub max_width: Option<u32>,
 }
 

@@ -1,5 +1,6 @@
-//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free stands there as it was held; where it has no
-//! such row at all, its place is empty. Parameters of one arm are held against each other in sigmas, those of two arms are not.
+//! Several runs side by side: two days, two presets, two robots. Rows go by name. What a run did not free is shown as
+//! it was held; where it has no such row at all, its place is empty. Parameters of one arm are compared in sigmas,
+//! those of two arms are not.
 
 use crate::RunResult;
 use crate::charts::{CALIBRATED, Chart, Digits, NOMINAL, number};
@@ -28,11 +29,11 @@ pub struct ComparedRun {
     pub name: String,
     /// Its rig.
     pub rig: String,
-    /// The data set's folder as the run named it; `None` where the result does not tell.
+    /// The data set's folder as the run named it; `None` where the result does not name it.
     pub dataset: Option<String>,
     /// Why its arm is another than the first run's; `None` for the first, and for the same arm.
     pub another_arm: Option<String>,
-    /// What its traffic status says.
+    /// What its status says.
     pub status: String,
     /// Its verdict.
     pub verdict: String,
@@ -61,7 +62,7 @@ pub struct Row {
 /// A metric of one run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cell {
-    /// As it stands in the run's summary.
+    /// As written in the run's summary.
     pub value: f64,
     /// Its standard deviation, for parameters that have one.
     pub sigma: Option<f64>,
@@ -69,8 +70,8 @@ pub struct Cell {
     pub held: bool,
     /// As it is shown.
     pub text: String,
-    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, where a sigma is missing, and
-    /// where the arm is another.
+    /// For parameters: how many sigmas of both it is away from the first run's; `None` for the first, where a sigma is
+    /// missing, and where the arm is another.
     pub apart_sigmas: Option<f64>,
 }
 
@@ -79,25 +80,25 @@ const METRICS: [(&str, &str, &str, Digits); 18] = [
     ("matches", "/counts/matches", "", Digits::Whole),
     ("observations of tracks", "/counts/observations", "", Digits::Whole),
     ("free parameters", "/calibration/free", "", Digits::Whole),
-    ("seen by the data", "/calibration/rank", "", Digits::Whole),
-    ("line distance, median, nominal", "/calibration/epipolar_before/median_px", "px", Digits::Significant(3)),
-    ("line distance, median", "/calibration/epipolar_after/median_px", "px", Digits::Significant(3)),
-    ("line distance, RMS", "/calibration/epipolar_after/rms_px", "px", Digits::Significant(3)),
+    ("identifiable", "/calibration/rank", "", Digits::Whole),
+    ("epipolar distance, median, nominal", "/calibration/epipolar_before/median_px", "px", Digits::Significant(3)),
+    ("epipolar distance, median", "/calibration/epipolar_after/median_px", "px", Digits::Significant(3)),
+    ("epipolar distance, RMS", "/calibration/epipolar_after/rms_px", "px", Digits::Significant(3)),
     ("reprojection, RMS", "/calibration/reprojection_after/rms_px", "px", Digits::Significant(3)),
     ("held out, nominal", "/held_out/metric_px/nominal", "px", Digits::Significant(3)),
     ("held out", "/held_out/metric_px/calibrated", "px", Digits::Significant(3)),
     ("held out, mount alone fitted", "/held_out/metric_px/mount_only", "px", Digits::Significant(3)),
     ("camera, expected error, mean", "/recorded_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
     ("the same over the workspace", "/workspace_poses/camera_sigma_mm/mean", "mm", Digits::Significant(2)),
-    ("surfaces apart, median, nominal", "/map/agreement_nominal/median_mm", "mm", Digits::Significant(3)),
-    ("surfaces apart, median", "/map/agreement_calibrated/median_mm", "mm", Digits::Significant(3)),
-    ("surfaces apart, 90 %", "/map/agreement_calibrated/p90_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median, nominal", "/map/depth_consistency_nominal/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, median", "/map/depth_consistency_calibrated/median_mm", "mm", Digits::Significant(3)),
+    ("depth consistency, 90 %", "/map/depth_consistency_calibrated/p90_mm", "mm", Digits::Significant(3)),
     ("peak memory", "/peak_memory_mib", "MiB", Digits::Whole),
 ];
 
 impl Comparison {
-    /// Compares; the first run is the one that the others are held against. `rigs`: the calibrated rigs of the runs (`rig.toml`), which tell what was
-    /// held; `None`, or nothing at all, where there is none.
+    /// Compares; the first run is the one that the others are compared with. `rigs`: the calibrated rigs of the runs
+    /// (`rig.toml`), which say what was held; `None`, or nothing at all, where there is none.
     pub fn of(runs: &[RunResult], rigs: &[Option<Rig>]) -> Self {
         let mut parameters = parameters(runs);
         add_held(&mut parameters, rigs);
@@ -171,7 +172,7 @@ fn add_held(rows: &mut [Row], rigs: &[Option<Rig>]) {
 /// Parameters of one arm after two calibrations are not farther apart, deg and mm.
 const SAME_ARM: [(&str, f64); 2] = [("deg", 5.0), ("mm", 30.0)];
 
-/// What tells that a run's arm is not that of the first.
+/// What shows that a run's arm is not that of the first.
 fn another_arm(rows: &[Row], rigs: &[Option<Rig>], at: usize) -> Option<String> {
     let joints = |at: usize| Some(rigs.get(at)?.as_ref()?.robot.as_ref()?.joint_count());
     if let (Some(first), Some(other)) = (joints(0), joints(at))
@@ -182,7 +183,7 @@ fn another_arm(rows: &[Row], rigs: &[Option<Rig>], at: usize) -> Option<String> 
     rows.iter().filter(|row| matches!(row.name.parse(), Ok(Parameter::Chain(_)))).find_map(|row| {
         let limit = SAME_ARM.iter().find(|(unit, _)| *unit == row.unit)?.1;
         let apart = (row.cells[at].as_ref()?.value - row.cells[0].as_ref()?.value).abs();
-        // A whole turn is none.
+        // 360 deg are no difference.
         let apart = if row.unit == "deg" { (apart + 180.0).rem_euclid(360.0) - 180.0 } else { apart }.abs();
         (apart > limit)
             .then(|| format!("{} differs by {} {}", row.name, number(apart, Digits::Significant(3)), row.unit))
@@ -207,7 +208,7 @@ impl ComparedRun {
     pub fn note(&self, at: usize) -> Option<String> {
         let why = self.another_arm.as_ref()?;
         Some(format!(
-            "[{}] is of another arm than [1] ({why}): its parameters are not held against those of [1].",
+            "[{}] is of another arm than [1] ({why}): its parameters are not compared with those of [1].",
             at + 1
         ))
     }
@@ -225,7 +226,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             vec![
                 name.clone(),
                 escaped(&run.rig),
-                escaped(run.dataset.as_deref().unwrap_or("not told")),
+                escaped(run.dataset.as_deref().unwrap_or("not given")),
                 format!("<strong>{}</strong>", escaped(&run.status)),
                 escaped(&run.verdict),
             ]
@@ -236,15 +237,11 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
     let mut parts = vec![Section {
         id: "runs",
         title: "Runs",
-        html: table(
-            "words",
-            "What each run says of itself",
-            &["Run", "Rig", "Data set", "Status", "Verdict"],
-            &verdicts,
-        ) + &notes,
+        html: table("words", "Verdict of each run", &["Run", "Rig", "Data set", "Status", "Verdict"], &verdicts)
+            + &notes,
         charts: Vec::new(),
     }];
-    let titles = [("metrics", "Figures"), ("parameters", "Parameters")];
+    let titles = [("metrics", "Metrics"), ("parameters", "Parameters")];
     for (group, (id, title)) in comparison.groups.iter().zip(titles) {
         let head: Vec<&str> =
             std::iter::once(title).chain(names.iter().map(String::as_str)).chain(std::iter::once("Unit")).collect();
@@ -253,7 +250,7 @@ pub fn compare_html(runs: &[RunResult], comparison: &Comparison) -> String {
             "parameters" => {
                 "Calibrated values, \u{b1} sigma; held: not free in this run. In brackets: how many sigmas of both it is away from the first run."
             }
-            _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is said.",
+            _ => "Residuals are those of the calibrated rigs unless \u{201c}nominal\u{201d} is given.",
         };
         let mut html = table("numbers", caption, &head, &rows);
         let charts: Vec<Chart> = if id == "metrics" {
@@ -298,7 +295,7 @@ fn labels(comparison: &Comparison) -> Vec<String> {
 fn residual_chart(runs: &[RunResult], comparison: &Comparison) -> Option<Chart> {
     let after = |run: &RunResult| run.number("/calibration/epipolar_after/median_px");
     runs.iter().find_map(after)?;
-    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    // Points and no bars: a logarithmic axis has no zero for a bar to start from.
     let points = |name: &str, which: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> =
             runs.iter().map(|run| run.number(&format!("/calibration/epipolar_{which}/median_px"))).collect();
@@ -330,14 +327,14 @@ fn changes_chart(comparison: &Comparison) -> Option<Chart> {
     let colors = [CALIBRATED, NOMINAL, "#009E73", "#CC79A7", "#56B4E9"];
     let traces: Vec<_> = (1..comparison.runs.len())
         .filter_map(|at| {
-            let told: Vec<(&str, f64)> = rows
+            let with_sigmas: Vec<(&str, f64)> = rows
                 .iter()
                 .filter_map(|row| Some((row.name.as_str(), row.cells[at].as_ref()?.apart_sigmas?)))
                 .collect();
-            (!told.is_empty()).then(|| {
+            (!with_sigmas.is_empty()).then(|| {
                 json!({"type": "scatter", "mode": "markers", "name": labels(comparison)[at],
-                       "x": told.iter().map(|(name, _)| escaped(name)).collect::<Vec<_>>(),
-                       "y": told.iter().map(|(_, sigmas)| *sigmas).collect::<Vec<_>>(),
+                       "x": with_sigmas.iter().map(|(name, _)| escaped(name)).collect::<Vec<_>>(),
+                       "y": with_sigmas.iter().map(|(_, sigmas)| *sigmas).collect::<Vec<_>>(),
                        "marker": {"size": 8, "color": colors[(at - 1) % colors.len()], "symbol": symbols[(at - 1) % symbols.len()]},
                        "hovertemplate": "%{x}: %{y:.1f} sigma<extra></extra>"})
             })
@@ -418,17 +415,17 @@ mod tests {
     }
 
     #[test]
-    fn two_arms_are_not_held_against_each_other() {
+    fn two_arms_are_not_compared() {
         let parameters = |value: f64| json!([{"name": "a_3", "unit": "mm", "calibrated": value, "sigma": 0.1}]);
-        let told = |value: f64, rigs: &[Option<Rig>]| {
+        let compared = |value: f64, rigs: &[Option<Rig>]| {
             let comparison = Comparison::of(&[run("one", parameters(260.0)), run("two", parameters(value))], rigs);
             let apart = comparison.groups[1].rows[0].cells[1].as_ref().unwrap().apart_sigmas;
             (apart.is_some(), comparison.runs[1].note(1))
         };
-        assert_eq!(told(260.2, &[]), (true, None));
-        let (held_against, note) = told(425.0, &[]);
-        assert!(!held_against && note.unwrap().contains("a_3 differs by 165 mm"));
-        let (held_against, note) = told(260.2, &[rig("hp3j"), rig("franka-fr3")]);
-        assert!(!held_against && note.unwrap().contains("7 joints"));
+        assert_eq!(compared(260.2, &[]), (true, None));
+        let (in_sigmas, note) = compared(425.0, &[]);
+        assert!(!in_sigmas && note.unwrap().contains("a_3 differs by 165 mm"));
+        let (in_sigmas, note) = compared(260.2, &[rig("hp3j"), rig("franka-fr3")]);
+        assert!(!in_sigmas && note.unwrap().contains("7 joints"));
     }
 }

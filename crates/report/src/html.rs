@@ -65,7 +65,7 @@ fn without_tags(html: &str) -> String {
     out.replace("&nbsp;", " ").replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
-/// A bar in a table cell; `share` of its width, 0 to 1.
+/// A bar in a table cell; `fraction` of its width, 0 to 1.
 pub(crate) fn bar(fraction: f64, class: &str) -> String {
     let percent = 100.0 * fraction.clamp(0.0, 1.0);
     format!("<span class=\"bar {class}\" aria-hidden=\"true\"><span style=\"width:{percent:.1}%\"></span></span>")

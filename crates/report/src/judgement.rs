@@ -1,4 +1,4 @@
-//! The traffic status: whether the calibration can be trusted, and why.
+//! The status: whether the calibration can be trusted, and why.
 
 use crate::RunResult;
 use serde_json::Value;
@@ -14,7 +14,7 @@ pub enum Status {
     Red,
 }
 
-/// The status and what speaks for it.
+/// The status and its checks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Judgement {
     /// The worst that any check calls for.
@@ -33,7 +33,7 @@ impl Status {
         }
     }
 
-    /// Name of its style and of its picture.
+    /// Name of its style and of its icon.
     pub(crate) fn class(self) -> &'static str {
         match self {
             Status::Green => "green",

@@ -1,12 +1,12 @@
 //! The report of a calibration: one HTML page that opens from disk, in any current browser, without a network.
 //!
-//! [`report_html`] makes it of what a run left in its result folder, `summary.json` and `report_data.json`, so that a run and a later
-//! `skclam report` give the same bytes. Every metric that the page shows carries the place in `summary.json` that it was taken from
-//! ([`charts::Numbers`]); a test reads the page and compares. Charts are plotly.js, which is embedded; [`compare_html`] puts several
-//! runs side by side.
+//! [`report_html`] makes it of what a run left in its result folder, `summary.json` and `report_data.json`, so that a
+//! run and a later `skclam report` give the same bytes. Every metric that the page shows carries the place in
+//! `summary.json` that it was taken from ([`charts::Numbers`]); a test reads the page and compares. Charts are
+//! plotly.js, which is embedded; [`compare_html`] puts several runs side by side.
 //!
-//! Text from outside (names of rigs, paths, warnings) is escaped on its way into the page, and the page forbids itself every
-//! request by its content security policy.
+//! Text from outside (names of rigs, paths, warnings) is escaped on its way into the page, and the page forbids itself
+//! every request by its content security policy.
 
 pub mod charts;
 mod compare;

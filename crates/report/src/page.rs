@@ -10,7 +10,7 @@ const SCRIPT: &str = include_str!("../assets/report.js");
 /// Nothing may be loaded from anywhere: everything is in the page.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'";
 
-/// One part of the page: a heading and what stands below it.
+/// One part of the page: a heading and what is below it.
 pub(crate) struct Section {
     pub id: &'static str,
     pub title: &'static str,

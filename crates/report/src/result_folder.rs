@@ -41,8 +41,8 @@ impl RunResult {
         Ok(RunResult { name: name.unwrap_or_else(|| folder.display().to_string()), summary, data: data(folder)? })
     }
 
-    /// A metric of the summary by its JSON pointer; `None` where it was not measured: without matches there is no distance to a line,
-    /// though the summary holds the 0 of an empty list.
+    /// A metric of the summary by its JSON pointer; `None` where it was not measured: without matches there is no
+    /// distance to a line, though the summary holds the 0 of an empty list.
     pub fn metric(&self, pointer: &str) -> Option<&Value> {
         let of_matches = pointer.starts_with("/calibration/epipolar_");
         let no_matches = || self.summary.pointer("/counts/matches").and_then(Value::as_u64) == Some(0);
@@ -122,7 +122,7 @@ fn check(data: &ReportData) -> Result<(), String> {
     }
     for image in &data.images {
         if image.images.iter().any(|image| image.jpeg.bytes().is_none()) {
-            return Err("a picture is no base64".to_owned());
+            return Err("an image is no base64".to_owned());
         }
     }
     Ok(())

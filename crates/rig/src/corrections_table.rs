@@ -4,7 +4,7 @@ use crate::joint_corrections::{JointCorrection, JointCorrections};
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::{JointKind, SerialChain};
 
-/// The table as it stands in the file.
+/// The table as it is in the file.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CorrectionsTable {

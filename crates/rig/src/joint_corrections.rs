@@ -1,4 +1,5 @@
-//! What joints do beside their encoders: eccentric gears, joints that give way under the arm's weight, a clock that is late.
+//! What joints do beside their encoders: eccentric gears, joints that give way under the arm's weight, a clock that is
+//! late.
 //!
 //! All of it is linear in the numbers of [`JointCorrections`]; what multiplies them is a [`JointReading`].
 
@@ -6,14 +7,14 @@ use crate::{Posture, PostureState};
 use nalgebra::Vector3;
 use skclam_kinematics::{KinematicsError, SerialChain};
 
-/// Where one joint truly stands: `q + transmission_sin sin(q) + transmission_cos cos(q) + compliance * gravity_arm`.
+/// Where one joint truly is: `q + transmission_sin sin(q) + transmission_cos cos(q) + compliance * gravity_arm`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct JointCorrection {
     /// Radians.
     pub transmission_sin: f64,
     /// Radians.
     pub transmission_cos: f64,
-    /// Radians a metre of gravity_arm arm.
+    /// Radians per metre of gravity torque arm.
     pub compliance: f64,
 }
 
@@ -37,7 +38,7 @@ pub struct JointReading {
     pub gravity_arm: f64,
 }
 
-/// The readings of a posture; a joint whose rate is not known stands still.
+/// The readings of a posture; a joint whose rate is not known is at rest.
 ///
 /// # Errors
 /// What the arm refuses of the joint values.
@@ -53,15 +54,15 @@ pub fn joint_readings(arm: &SerialChain, values: &[f64], rates: &[f64]) -> Resul
     Ok(values.iter().enumerate().map(reading).collect())
 }
 
-/// Fills in the rates of postures in the order of a recording, from the values and timestamps of their neighbours. Where these do not
-/// tell them, there are none.
+/// Fills in the rates of postures in the order of a recording, from the values and timestamps of their neighbours.
+/// Where these do not give them, there are none.
 pub fn fill_joint_rates<'a>(postures: impl IntoIterator<Item = &'a mut Posture>) {
     let mut postures: Vec<&mut Posture> = postures.into_iter().collect();
-    let told = |posture: &Posture| match &posture.state {
+    let joints_of = |posture: &Posture| match &posture.state {
         PostureState::Joints(values) => Some((posture.timestamp_s?, values.clone())),
         PostureState::FlangePose(_) => None,
     };
-    let known: Vec<_> = postures.iter().map(|posture| told(posture)).collect();
+    let known: Vec<_> = postures.iter().map(|posture| joints_of(posture)).collect();
     for (at, posture) in postures.iter_mut().enumerate() {
         let (before, after) = (&known[at.saturating_sub(1)], &known[(at + 1).min(known.len() - 1)]);
         posture.joint_rates = match (before, after) {
@@ -84,7 +85,7 @@ impl JointCorrections {
         self.joints.get(joint).copied().unwrap_or_default()
     }
 
-    /// Where the joints truly stand.
+    /// Where the joints truly are.
     pub fn applied(&self, readings: &[JointReading]) -> Vec<f64> {
         let correct = |(joint, reading): (usize, &JointReading)| {
             let own = self.of(joint);
@@ -94,7 +95,8 @@ impl JointCorrections {
         readings.iter().enumerate().map(correct).collect()
     }
 
-    /// What the encoders of an arm at rest say where its joints truly stand at `values`: the inverse of [`JointCorrections::applied`].
+    /// What the encoders of an arm at rest say where its joints truly are at `values`: the inverse of
+    /// [`JointCorrections::applied`].
     ///
     /// # Errors
     /// What the arm refuses of the joint values.
@@ -135,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn encoders_say_what_puts_the_joints_where_they_stand() {
+    fn encoders_say_what_puts_the_joints_where_they_are() {
         let rig = builtin_rig("hp3j").unwrap().unwrap();
         let arm = rig.robot.as_ref().unwrap();
         let values = [0.3, -0.4, 0.5, 1.1, -0.7, 2.0];
@@ -149,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lever_of_an_upright_axis_is_zero_and_of_a_level_one_the_reach() {
+    fn the_gravity_torque_arm_of_an_upright_axis_is_zero_and_of_a_level_one_the_reach() {
         let rig = builtin_rig("hp3j").unwrap().unwrap();
         let arm = rig.robot.as_ref().unwrap();
         let values = [0.0, 0.3, 0.2, 0.0, 0.1, 0.0];
@@ -166,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_come_from_the_neighbours_where_these_tell_them() {
+    fn rates_come_from_the_neighbours_where_these_give_them() {
         let posture = |at: u64, timestamp_s, value: f64| Posture {
             index: at,
             timestamp_s,

@@ -1,6 +1,6 @@
 //! A robot, its camera mount and its cameras as one value and as one file; postures.
 //!
-//! Everybody who speaks of "the rig" means [`Rig`]: the nominal one that comes in, the true one of a simulation, the
+//! "The rig" is [`Rig`]: the nominal one that comes in, the true one of a simulation, the
 //! calibrated one that goes out. This crate knows no image content, no estimator and no scene.
 
 mod board;

@@ -1,4 +1,4 @@
-//! Where the arm stood when an image was taken.
+//! The posture of the arm when an image was taken.
 
 use skclam_geometry::Isometry3;
 
@@ -20,7 +20,8 @@ pub struct Posture {
     pub timestamp_s: Option<f64>,
     /// Joints or flange pose.
     pub state: PostureState,
-    /// How fast the joints moved, radians or metres a second; empty where it is not known. See [`crate::fill_joint_rates`].
+    /// How fast the joints moved, radians or metres a second; empty where it is not known. See
+    /// [`crate::fill_joint_rates`].
     pub joint_rates: Vec<f64>,
 }
 

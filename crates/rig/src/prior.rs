@@ -1,4 +1,4 @@
-//! How far a parameter may be from its nominal value, in physical units, before the data are heard.
+//! How far a parameter may be from its nominal value, in physical units, before the data are used.
 
 use serde::{Deserialize, Serialize};
 
@@ -44,9 +44,9 @@ pub struct Prior {
     /// Size of the board's squares, as a fraction.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub board_scale_relative: Option<f64>,
-    /// Deviation of a revolute joint's value in one posture (encoder noise, backlash), degrees.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub joint_deviation_deg: Option<f64>,
+    /// Error of a revolute joint's value in one posture (encoder noise, backlash), degrees.
+    #[serde(alias = "joint_deviation_deg", skip_serializing_if = "Option::is_none")]
+    pub joint_error_deg: Option<f64>,
     /// Time offset between joints and images, seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_offset_s: Option<f64>,
@@ -68,7 +68,7 @@ impl Prior {
             ("color_from_depth_rotation_deg", self.color_from_depth_rotation_deg),
             ("color_from_depth_translation_mm", self.color_from_depth_translation_mm),
             ("board_scale_relative", self.board_scale_relative),
-            ("joint_deviation_deg", self.joint_deviation_deg),
+            ("joint_error_deg", self.joint_error_deg),
             ("time_offset_s", self.time_offset_s),
         ]
     }

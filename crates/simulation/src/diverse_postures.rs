@@ -21,15 +21,15 @@ pub struct DiverseOptions {
     pub count: usize,
     /// Standard deviation of a joint's step, degrees (a prismatic joint: as many millimetres).
     pub step_deg: f64,
-    /// Least share of what a posture sees that its predecessor saw too.
+    /// Smallest fraction of what a posture sees that its predecessor saw too.
     pub min_overlap: f64,
     /// Nothing may be nearer to the camera, metres.
     pub clearance_m: f64,
     /// Median distance of what is seen: least and most, metres.
     pub view_distance_m: [f64; 2],
-    /// Largest share of the view on plain surfaces.
+    /// Largest fraction of the view on plain surfaces.
     pub max_plain: f64,
-    /// Largest share of the view on the arm itself.
+    /// Largest fraction of the view on the arm itself.
     pub max_arm: f64,
 }
 
@@ -183,7 +183,7 @@ fn acceptable(
     let Some(chain) = rig.robot.as_ref() else { return Err(SimulationError::NoRobot) };
     let base_from_color = chain.base_from_flange(joint_values)? * rig.flange_from_color;
     let eye = Point3::from(base_from_color.translation.vector);
-    // Above the table, and the links clear of what stands on it; the first two points are the base itself.
+    // Above the table, and the links clear of what is on it; the first two points are the base itself.
     let too_low = |point: &Point3| point.z < LINK_CLEARANCE_M && point.coords.xy().norm() > 0.02;
     if skeleton.iter().skip(2).any(too_low) || eye.z < 0.12 {
         return Ok(None);
@@ -194,7 +194,7 @@ fn acceptable(
     if path.iter().any(|(a, b)| (b - a).norm() > 1e-6 && caster.is_blocked(a, &(b - a), 1.0)) {
         return Ok(None);
     }
-    // Room around the camera and the flange in all directions of a cube's faces and corners.
+    // Space around the camera and the flange in all directions of a cube's faces and corners.
     for x in -1..=1i8 {
         for y in -1..=1i8 {
             for z in -1..=1i8 {

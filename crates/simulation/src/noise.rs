@@ -151,12 +151,12 @@ pub struct DepthNoiseOptions {
     /// Seed of this noise.
     pub seed: u64,
     /// k of `sigma = k z^2`, per metre: the error of triangulation.
-    pub sigma_per_square_metre: f64,
-    /// Share of the variance that neighbours have in common, 0 to 1.
+    pub depth_sigma_per_m2: f64,
+    /// Fraction of the variance that neighbours have in common, 0 to 1.
     pub correlated_fraction: f64,
     /// Distance over which it changes, pixels.
     pub correlation_px: u32,
-    /// A step to a neighbour of more than this share of the depth is an edge ...
+    /// A step to a neighbour of more than this fraction of the depth is an edge ...
     pub edge_step: f64,
     /// ... and a pixel at an edge has no value with this probability.
     pub edge_hole_probability: f64,
@@ -170,7 +170,7 @@ impl Default for DepthNoiseOptions {
     fn default() -> Self {
         DepthNoiseOptions {
             seed: 12,
-            sigma_per_square_metre: 0.003,
+            depth_sigma_per_m2: 0.003,
             correlated_fraction: 0.5,
             correlation_px: 6,
             edge_step: 0.03,
@@ -185,7 +185,7 @@ impl DepthNoiseOptions {
     /// An ideal sensor: no noise, no holes, any distance.
     pub fn none() -> Self {
         DepthNoiseOptions {
-            sigma_per_square_metre: 0.0,
+            depth_sigma_per_m2: 0.0,
             edge_hole_probability: 0.0,
             nearest_m: 0.0,
             farthest_m: 60.0,
@@ -203,7 +203,7 @@ impl DepthNoiseOptions {
         };
         fraction("correlated_fraction", self.correlated_fraction)?;
         fraction("edge_hole_probability", self.edge_hole_probability)?;
-        positive("sigma_per_square_metre", self.sigma_per_square_metre)?;
+        positive("depth_sigma_per_m2", self.depth_sigma_per_m2)?;
         positive("edge_step", self.edge_step)?;
         positive("nearest_m", self.nearest_m)?;
         positive("farthest_m", self.farthest_m)?;
@@ -238,7 +238,7 @@ impl DepthNoiseOptions {
                     continue;
                 };
                 let noise = own * draw + common * smooth(&grid, columns, f64::from(x) / cell, f64::from(y) / cell);
-                let noisy = z + self.sigma_per_square_metre * z * z * noise;
+                let noisy = z + self.depth_sigma_per_m2 * z * z * noise;
                 let counts = (noisy / unit_m).round();
                 let measured = noisy >= self.nearest_m && noisy <= self.farthest_m && counts <= 65535.0;
                 let lost = !measured || counts < 1.0 || (hole && self.is_edge(exact, x, y));
@@ -284,7 +284,7 @@ pub fn depth_counts(depth: &DepthImage, unit_m: f64) -> Vec<u16> {
         .collect()
 }
 
-/// Noise of the joints: where the arm really stood differs from what was written down.
+/// Noise of the joints: where the arm really was differs from what was written down.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderNoiseOptions {
@@ -313,7 +313,7 @@ impl EncoderNoiseOptions {
         Ok(())
     }
 
-    /// Where the arm stood at posture number `index` when the encoders said `joint_values`.
+    /// Where the arm was at posture number `index` when the encoders said `joint_values`.
     pub fn apply(
         &self,
         chain: &skclam_kinematics::SerialChain,
@@ -398,7 +398,7 @@ mod tests {
         let mut image = RgbImage::new(4, 4);
         let error = ColorNoiseOptions { blur_size: 4, ..Default::default() }.apply(&mut image, 0).unwrap_err();
         assert_eq!(error.to_string(), "blur_size is 4; 0 or an odd number up to 99 is needed");
-        let options = DepthNoiseOptions { sigma_per_square_metre: f64::NAN, ..Default::default() };
+        let options = DepthNoiseOptions { depth_sigma_per_m2: f64::NAN, ..Default::default() };
         let depth = DepthImage::new(1, 1, vec![1.0]).unwrap();
         assert!(matches!(options.apply(&depth, 0.001, 0), Err(SimulationError::Option { .. })));
     }

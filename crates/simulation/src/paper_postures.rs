@@ -13,7 +13,7 @@ pub const PAPER_POSTURES: usize = 73;
 /// Turn of joint 1 from posture to posture, degrees.
 pub const PAPER_STEP_DEG: f64 = 5.0;
 
-/// Where the colour camera stands and looks in the first solution, joint 1 not yet turned.
+/// Where the colour camera is and looks in the first solution, joint 1 not yet turned.
 ///
 /// The camera is at azimuth 0 of the base; without angles it looks along the base's x axis, away from the arm, with
 /// the image upright.

@@ -49,15 +49,15 @@ impl Default for PerturbationSigmas {
     }
 }
 
-/// Whether a parameter only says how the base frame lies about the first axis: in the modified order, `alpha_1` and `a_1`. What is called the base is
-/// drawn on the floor along that axis, so that a true arm has no error there.
+/// Whether a parameter only says how the base frame lies about the first axis: in the modified order, `alpha_1` and
+/// `a_1`. What is called the base is drawn on the floor along that axis, so that a true arm has no error there.
 fn defines_the_base(id: ParameterId, chain: &SerialChain) -> bool {
     let modified = matches!(chain.joints()[id.joint].link.form, LinkForm::ModifiedDh | LinkForm::Hayati);
     id.joint == 0 && modified && matches!(id.kind, ParameterKind::Alpha | ParameterKind::A | ParameterKind::Beta)
 }
 
-/// A true arm with normal errors on the mount and on every parameter but those that only define the base frame. Errors: no arm, a sigma that is negative or not
-/// finite.
+/// A true arm with normal errors on the mount and on every parameter but those that only define the base frame. Errors:
+/// no arm, a sigma that is negative or not finite.
 pub fn perturb_random(nominal: &Rig, seed: u64, sigmas: &PerturbationSigmas) -> Result<Rig, SimulationError> {
     for (option, value) in [
         ("angle_deg", sigmas.angle_deg),

@@ -1,4 +1,4 @@
-//! Seeded draws: every random number of the cell comes through here, so that a seed tells everything.
+//! Seeded draws: every random number of the cell comes through here, so that a seed determines everything.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -35,7 +35,7 @@ pub enum Perturbation {
 pub enum PosturePlan {
     /// The 73 postures of section 4.1.1.
     Paper {
-        /// The one flange pose, told by where the camera stands.
+        /// The one flange pose, given by where the camera is.
         #[serde(default)]
         view: PaperView,
     },
@@ -166,7 +166,7 @@ impl Simulation {
         &self.config
     }
 
-    /// Takes the images of one posture (counted from 0). The true arm stands where its joints, noise included, and
+    /// Takes the images of one posture (counted from 0). The true arm is where its joints, noise included, and
     /// its true parameters put it. Errors: no such posture.
     pub fn capture(&self, number: usize) -> Result<Capture, SimulationError> {
         let posture = self.postures.get(number).ok_or_else(|| SimulationError::Option {

@@ -102,7 +102,7 @@ fn bound(rig: &Rig, view: &PaperView) -> Option<Bound> {
     })
 }
 
-/// Lowest point of the arm between base and flange, and share of the view that the arm itself covers, over the eight
+/// Lowest point of the arm between base and flange, and fraction of the view that the arm itself covers, over the eight
 /// solutions.
 fn obstruction(rig: &Rig, body: &ArmBody, view: &PaperView) -> Option<(f64, f64)> {
     let postures = paper_postures(rig.robot.as_ref()?, &view.base_from_flange(rig)).ok()?;

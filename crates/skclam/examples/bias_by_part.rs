@@ -24,7 +24,7 @@ use truth::Truth;
 /// `s` of the sensor's `sigma = s z^2`, 1/m.
 const DEPTH_NOISE_PER_M: f64 = 0.0025;
 
-/// Links longer than this tell the scale, m.
+/// Links longer than this determine the scale, m.
 const LONG_M: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

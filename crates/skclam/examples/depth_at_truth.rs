@@ -79,9 +79,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     rendered(&dataset, &truth, &seen)
 }
 
-/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which tells a
-/// bias of the reading from the luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4
-/// %) stands beside it.
+/// The same places read from depth images of the true surface: exact, and with noise of several seeds, which separates
+/// a bias of the reading from the luck of one recording. The middle of four pixels (bilinear in depth, steps of up to 4
+/// %) is given beside it.
 fn rendered(dataset: &Dataset, truth: &Truth, seen: &[(usize, Pixel)]) -> Result<(), Box<dyn std::error::Error>> {
     const SEEDS: u64 = 6;
     let Some(camera) = truth.rig.depth else { return Err("no depth camera".into()) };

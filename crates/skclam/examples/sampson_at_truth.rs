@@ -1,11 +1,11 @@
 //! Sampson distances of the pipeline's matches at the true poses, before and after refinement.
 //!
-//! `cargo run --release -p skclam --example sampson_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or the
-//! folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml` and `truth/trajectory.txt`.
+//! `cargo run --release -p skclam --example sampson_at_truth [DATASET]`, by default `../shared/data/virtual-cell` (or
+//! the folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml` and `truth/trajectory.txt`.
 //!
 //! The pipeline's own stages run as in `skclam run`: features, guided matching with all filters, tracks; then the
-//! positions of the observations are taken as detected and as refined. Only matches of tracks count; those that refinement
-//! rejects are in the first line alone.
+//! positions of the observations are taken as detected and as refined. Only matches of tracks count; those that
+//! refinement rejects are in the first line alone.
 
 use skclam::calibration::{Correspondences, PairMatch};
 use skclam::dataset::Dataset;

@@ -1,7 +1,7 @@
 //! How far a rig is from the truth: errors of its parameters, and of the poses that it predicts.
 //!
-//! The base's own gauge: a turn about and a shift along the first joint's axis move every camera pose alike, so no image
-//! can tell them (`theta_offset_1` and `d_1`). Errors are given as they stand, and after that turn and shift.
+//! The base's own gauge: a turn about and a shift along the first joint's axis move every camera pose alike, so no
+//! image determines them (`theta_offset_1` and `d_1`). Errors are given raw, and after that rotation and shift.
 
 use nalgebra::{Translation3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -75,9 +75,9 @@ pub struct Evaluation {
     pub postures: usize,
     /// Every parameter of arm and mount.
     pub parameters: Vec<ParameterError>,
-    /// The flange's pose as it stands.
+    /// The flange's pose, raw.
     pub flange: PoseErrors,
-    /// The camera's pose as it stands.
+    /// The camera's pose, raw.
     pub camera: PoseErrors,
     /// The flange's pose after a turn about and a shift along the first joint's axis.
     pub flange_after_base_gauge: PoseErrors,
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_are_compared_modulo_a_turn() {
+    fn angles_are_compared_modulo_two_pi() {
         let truth = rig();
         let mut turned = truth.clone();
         let id = ParameterId { joint: 1, kind: ParameterKind::ThetaOffset };

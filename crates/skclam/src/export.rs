@@ -29,7 +29,7 @@ pub struct ExportOptions {
     pub flange_frame: String,
     /// Frame of the colour camera in the static transform: the optical one, z forward.
     pub camera_frame: String,
-    /// Word that tells one arm's calibration from another's in `kinematics.yaml`.
+    /// Word that distinguishes one arm's calibration from another's in `kinematics.yaml`.
     pub hash: String,
 }
 
@@ -137,8 +137,9 @@ impl ExportedCorrections {
 /// Writes a calibrated rig into a folder that the caller publishes. `nominal`: the rig that the calibration began with;
 /// without it the chain of the URDF.
 ///
-/// Written are `corrections.csv`, `parameters.json`, `static_transform.sh`, `robot.urdf` (with a URDF that one corrected, beside `robot.urdf.diff`; without
-/// one a bare description of the chain), and for six revolute joints `kinematics.yaml`. Every file with numbers says its units.
+/// Written are `corrections.csv`, `parameters.json`, `static_transform.sh`, `robot.urdf` (with a URDF that one
+/// corrected, beside `robot.urdf.diff`; without one a bare description of the chain), and for six revolute joints
+/// `kinematics.yaml`. Every file with numbers says its units.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn six_joints_have_a_kinematics_yaml_and_every_parameter_stands_in_the_json() {
+    fn six_joints_have_a_kinematics_yaml_and_every_parameter_is_in_the_json() {
         let nominal = builtin_rig("ur5e").unwrap().unwrap();
         let calibrated = perturb_random(&nominal, 3, &PerturbationSigmas::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! Simultaneous kinematic calibration, localization and mapping: datasets, the pipeline, evaluation.
 //!
 //! Begin with [`pipeline::run`]: a [`dataset::Dataset`] and a [`pipeline::Config`] in, a [`pipeline::Outcome`] out. The
-//! rooms below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
+//! crates below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
 //! [`simulation`] and [`recordings`].
 
 pub mod compensation;

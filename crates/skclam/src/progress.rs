@@ -1,4 +1,4 @@
-//! How a long run tells how far it is, and how it is asked to stop.
+//! How a long run reports how far it is, and how it is asked to stop.
 
 use std::fmt;
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use skclam_simulation::LaserExperiment;
 use std::fmt::Write as _;
 
-/// What the paper prints; facts, with the table that they stand in.
+/// What the paper prints; facts, with the table that they are from.
 pub mod paper {
     /// Table 1: parameter, calibrated value without and with noise, degrees.
     pub const TABLE_1: [(&str, f64, f64); 10] = [

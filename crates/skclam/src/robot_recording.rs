@@ -1,7 +1,8 @@
-//! A data set as the robot would have recorded it: an MCAP of ROS 2 messages (CDR), to practise `import` and to test it.
+//! A data set as the robot would have recorded it: an MCAP of ROS 2 messages (CDR), to practise `import` and to test
+//! it.
 //!
-//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one depth image at
-//! each stand, with their `CameraInfo` and the static transform between the two cameras.
+//! The arm drives from posture to posture and stands still at each; joint states come all the while, one colour and one
+//! depth image at each rest, with their `CameraInfo` and the static transform between the two cameras.
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::progress::{Progress, Stage};
@@ -35,10 +36,10 @@ pub enum RobotRecordingError {
 
 /// Seconds between two joint states.
 const JOINT_PERIOD_S: f64 = 0.02;
-/// Seconds of a stand, and of the drive to the next.
-const STAND_S: f64 = 2.0;
+/// Seconds at rest, and of the drive to the next.
+const REST_S: f64 = 2.0;
 const DRIVE_S: f64 = 1.0;
-/// When the images are taken, after the stand began.
+/// When the images are taken, after the rest began.
 const IMAGE_AFTER_S: f64 = 1.2;
 /// The recording begins here, so that no stamp is zero.
 const START_S: f64 = 1000.0;
@@ -71,9 +72,9 @@ pub fn write_robot_recording(
         if progress.stop_requested() {
             return Err(RobotRecordingError::Interrupted);
         }
-        let begin = START_S + at as f64 * (STAND_S + DRIVE_S);
+        let begin = START_S + at as f64 * (REST_S + DRIVE_S);
         let next = joints.get(at + 1);
-        let until = STAND_S + if next.is_some() { DRIVE_S } else { 0.0 };
+        let until = REST_S + if next.is_some() { DRIVE_S } else { 0.0 };
         let mut images_taken = false;
         for step in 0..(until / JOINT_PERIOD_S).round() as usize {
             let after = step as f64 * JOINT_PERIOD_S;
@@ -81,7 +82,7 @@ pub fn write_robot_recording(
                 images(&mut file, dataset, at, begin + IMAGE_AFTER_S)?;
                 images_taken = true;
             }
-            let fraction = ((after - STAND_S) / DRIVE_S).max(0.0);
+            let fraction = ((after - REST_S) / DRIVE_S).max(0.0);
             let values: Vec<f64> = match next {
                 Some(next) if fraction > 0.0 => here.iter().zip(*next).map(|(a, b)| a + fraction * (b - a)).collect(),
                 _ => here.to_vec(),
@@ -166,7 +167,8 @@ fn static_transform(color_from_depth: &Isometry3) -> Vec<u8> {
     message.bytes
 }
 
-/// Plain little-endian CDR (OMG DDS-XTypes 7.4.1): every number is aligned to its size, counted from behind the header of four bytes.
+/// Plain little-endian CDR (OMG DDS-XTypes 7.4.1): every number is aligned to its size, counted from behind the header
+/// of four bytes.
 struct Cdr {
     bytes: Vec<u8>,
 }

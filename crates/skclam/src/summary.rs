@@ -1,14 +1,22 @@
-//! `summary.json`: every metric of a run that a person or a script may want. Units are in the names.
+//! `summary.json`: every number of a run that a person or a script may want. Units are in the names.
 
 use crate::pipeline::{
-    BoardSummary, Cause, CheckResult, Config, EgoMaskSummary, Evidence, HeldOutSummary, MapCoverage, MatchedPair,
-    PoseSigmaSummary, Scale, Status, SurfaceAgreement, TrackSummary, VerdictCase,
+    BoardSummary, Cause, CheckResult, Config, DepthConsistencySummary, EgoMaskSummary, Evidence, HeldOutSummary,
+    MapCoverage, MatchedPair, PoseSigmaSummary, Scale, Status, TrackSummary, VerdictCase,
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
     Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit,
 };
 use skclam_features::MatchCounts;
+
+/// Version of `summary.json`. It rises when a key changes its name or its meaning, or is taken away; a new key leaves
+/// it as it is. `schema/summary.schema.json` of this crate describes it.
+pub const SCHEMA_VERSION: u32 = 2;
+
+fn unversioned() -> u32 {
+    1
+}
 
 /// What a run found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -17,6 +25,9 @@ pub struct Summary {
     pub program: String,
     /// Version of the program.
     pub version: String,
+    /// Version of the keys and their meaning: [`SCHEMA_VERSION`]. Summaries without it are of version 1.
+    #[serde(default = "unversioned")]
+    pub schema_version: u32,
     /// The verdict in one sentence.
     pub verdict: String,
     /// The worst that any of the checks calls for.
@@ -27,7 +38,7 @@ pub struct Summary {
     pub evidence: Evidence,
     /// What does not fit, by name, the likeliest first.
     pub causes: Vec<Cause>,
-    /// What was looked at, worst first.
+    /// The checks, worst first.
     pub checks: Vec<CheckResult>,
     /// Where lengths come from.
     pub scale: Scale,
@@ -57,7 +68,7 @@ pub struct Summary {
     pub workspace_poses: Option<PoseSigmaSummary>,
     /// The map; `null` without depth.
     pub map: Option<MapSummary>,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<String>,
     /// The settings in force: they are a valid `--config` file.
     pub configuration: Config,
@@ -114,20 +125,21 @@ pub struct CalibrationSummary {
     pub parameters: Vec<ParameterSummary>,
     /// Number of free parameters.
     pub free: usize,
-    /// How many combinations of them the data can tell; `null` for Nelder-Mead.
+    /// How many combinations of them are identifiable; `null` for Nelder-Mead.
     pub rank: Option<usize>,
-    /// Greatest over smallest singular value of what is seen.
+    /// Greatest over smallest singular value of what is identifiable.
     pub condition_number: Option<f64>,
     /// Observability indices O1 to O5.
     pub observability: Option<[f64; 5]>,
-    /// What the data cannot tell, and why, in words.
+    /// What is not identifiable, and why, in words.
     pub not_identifiable: Vec<String>,
-    /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that were not refined).
+    /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that
+    /// were not refined).
     pub pixel_sigma: f64,
     /// `s` of the depth noise `s z^2`, 1/m.
     pub depth_sigma_per_m2: Option<f64>,
-    /// Sigma of the joint deviations, degrees.
-    pub joint_deviation_sigma_deg: Option<f64>,
+    /// Sigma of the joint error per posture, degrees.
+    pub joint_error_sigma_deg: Option<f64>,
     /// Part of the correspondences that do not fit.
     pub outlier_fraction: f64,
     /// How the solver ended.
@@ -158,11 +170,11 @@ pub struct ParameterSummary {
 pub struct MapSummary {
     /// Points of map.ply.
     pub points: usize,
-    /// How far apart the surfaces of overlapping depth images are at the nominal poses.
-    pub agreement_nominal: Option<SurfaceAgreement>,
+    /// Point-to-plane distance between overlapping depth images at the nominal poses.
+    pub depth_consistency_nominal: Option<DepthConsistencySummary>,
     /// The same at the calibrated poses.
-    pub agreement_calibrated: Option<SurfaceAgreement>,
-    /// How much was seen, at the calibrated poses.
+    pub depth_consistency_calibrated: Option<DepthConsistencySummary>,
+    /// How much was observed, at the calibrated poses.
     pub coverage: Option<MapCoverage>,
 }
 
@@ -226,7 +238,7 @@ impl CalibrationSummary {
                 .unwrap_or_default(),
             pixel_sigma: calibration.noise.pixel,
             depth_sigma_per_m2: calibration.noise.depth_sigma_per_m2,
-            joint_deviation_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
+            joint_error_sigma_deg: calibration.noise.posture_angular.map(f64::to_degrees),
             outlier_fraction: calibration.noise.outlier_fraction,
             termination: calibration.termination,
             ended: calibration.termination.reason.to_string(),

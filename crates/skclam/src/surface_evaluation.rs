@@ -8,8 +8,8 @@ use skclam_geometry::{DepthImage, Isometry3};
 use skclam_mapping::{Model, ReferenceOptions, SurfaceScore, View, score_surface};
 use skclam_rig::{PostureState, Rig};
 
-/// Compares a map that was built with `rig` with the true surface, after the base's gauge. `dataset` carries the true rig: the
-/// true poses decide what was observed.
+/// Compares a map that was built with `rig` with the true surface, after the base's gauge. `dataset` carries the true
+/// rig: the true poses decide what was observed.
 pub fn evaluate_surface(map: Model, reference: &Model, rig: &Rig, dataset: &Dataset) -> Result<SurfaceScore, RunError> {
     let cameras = |rig: &Rig| {
         dataset.records.iter().map(|record| rig.base_from_color(&record.posture)).collect::<Result<Vec<_>, _>>()

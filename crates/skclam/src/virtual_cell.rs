@@ -28,8 +28,8 @@ pub fn scaled_rig(rig: &Rig, factor: f64) -> Rig {
     scaled
 }
 
-/// Renders every posture and writes the data set: `rig.toml` (nominal), `postures.csv`, `color/`, `depth/`, and in `truth/` the
-/// true rig, the true camera poses and the scene's surface.
+/// Renders every posture and writes the data set: `rig.toml` (nominal), `postures.csv`, `color/`, `depth/`, and in
+/// `truth/` the true rig, the true camera poses and the scene's surface.
 pub fn write_virtual_cell(
     simulation: &Simulation,
     staged: &StagedFolder,

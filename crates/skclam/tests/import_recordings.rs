@@ -80,9 +80,10 @@ fn five_recordings_give_the_same_three_postures() {
     }
 }
 
-/// Frames without headers, as librealsense wrote into its first .db3 files, are refused by name, with what to record instead.
+/// Frames without headers, as librealsense wrote into its first .db3 files, are refused by name, with what to record
+/// instead.
 #[test]
-fn bare_frames_of_librealsense_are_told() {
+fn bare_frames_of_librealsense_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bare.mcap");
     let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();

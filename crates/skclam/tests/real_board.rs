@@ -56,7 +56,8 @@ fn a_board_alone_calibrates_a_real_arm() {
     println!("RMS of the corners: {nominal:.3} px with the mount fitted, {calibrated:.3} px calibrated");
     println!("{:?} {:?} {:?}", calibration.noise, calibration.prior_scales, calibration.warnings);
     assert!((1.1..1.2).contains(&nominal), "{nominal}");
-    // Joints are off in every posture anew, and the calibrated arm alone does not know by how much: what is left is more than the corners' noise.
+    // Joints are off in every posture anew, and the calibrated arm alone does not know by how much: what is left is
+    // more than the corners' noise.
     assert!(calibrated < 0.75 * nominal, "{calibrated}");
     // Corners scatter about as their own sigmas say.
     assert!((0.5..2.0).contains(&calibration.noise.pixel), "{:?}", calibration.noise);
@@ -76,7 +77,8 @@ fn a_board_alone_calibrates_a_real_arm() {
     }
 }
 
-/// Of the first day and of another, 18 days later, beside positions of a marker that an optical tracker measured: better than nominal by what no image knows.
+/// Of the first day and of another, 18 days later, beside positions of a marker that an optical tracker measured:
+/// better than nominal by what no image knows.
 #[test]
 fn a_tracker_confirms_the_calibration_of_two_days() {
     let Some(folder) = shared("nachi-mz25") else { return };
@@ -98,7 +100,8 @@ fn a_tracker_confirms_the_calibration_of_two_days() {
     }
 }
 
-/// Groups of four were taken with the first three joints at rest: a fold holds out one of six positions of the arm, and the board lies where the others saw it.
+/// Groups of four were taken with the first three joints at rest: a fold holds out one of six positions of the arm, and
+/// the board lies where the others saw it.
 #[test]
 fn held_out_positions_of_a_real_arm() {
     let Some(recording) = BoardRecording::open("nachi-mz25") else { return };

@@ -1,4 +1,4 @@
-//! One descent of everything that moves, and the covariance at its end.
+//! One minimisation over everything that moves, and the covariance at its end.
 
 use crate::bundle::noise::LossCorrection;
 use crate::bundle::observations::Observations;
@@ -10,7 +10,7 @@ use crate::bundle::state::{NoiseScales, PostureErrorSigmas, State};
 use crate::bundle::unknowns::Unknowns;
 use crate::camera_kinematics::CameraKinematics;
 use crate::levenberg_marquardt::{
-    DescentLimits, Minimization, Proposal, damped_solve, descend, predicted_gain, scaled_norm,
+    Minimization, MinimizationLimits, Proposal, damped_solve, minimize, predicted_gain, scaled_norm,
 };
 use crate::prior::Priors;
 use crate::{CalibrationError, Loss, Model, Parameter};
@@ -20,10 +20,11 @@ use skclam_rig::Rig;
 
 /// A gain below this, in squared sigmas, means nothing.
 const MEANINGLESS_GAIN: f64 = 1e-3;
-/// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single points still have to go.
+/// A step of parameters, board and posture errors together that is shorter than this means nothing, however far single
+/// points still have to go.
 const MEANINGLESS_SIGMAS: f64 = 0.02;
 
-/// All that a descent needs besides the state.
+/// All that a minimisation needs besides the state.
 pub(crate) struct Adjustment<'a> {
     pub nominal: &'a Rig,
     pub motion: &'a CameraKinematics,
@@ -34,7 +35,7 @@ pub(crate) struct Adjustment<'a> {
     pub noise: NoiseScales,
     /// What the errors of single postures consist of.
     pub errors: &'a PostureErrorModel,
-    /// How the loss stands beside the prior of the posture errors.
+    /// How the loss is weighted against the prior of the posture errors.
     pub balance: LossCorrection,
     /// A parameter that does not move.
     pub held: Option<usize>,
@@ -84,19 +85,23 @@ impl Adjustment<'_> {
         }
     }
 
-    /// Descends until a step gains nothing that means anything.
-    pub(crate) fn descend(&self, state: State, max_iterations: usize) -> Result<Minimization<State>, CalibrationError> {
+    /// Minimises until a step gains nothing that means anything.
+    pub(crate) fn minimize(
+        &self,
+        state: State,
+        max_iterations: usize,
+    ) -> Result<Minimization<State>, CalibrationError> {
         let chunks = self.chunks();
         let cost = self.cost(&state, &chunks);
         let unknowns = self.unknowns(&state);
         let cost_tolerance = (MEANINGLESS_GAIN / cost.max(f64::MIN_POSITIVE)).clamp(1e-13, 1e-6);
-        let limits = DescentLimits {
+        let limits = MinimizationLimits {
             max_iterations,
             cost_tolerance,
             step_tolerance: 1e-11,
             sigma_tolerance: MEANINGLESS_SIGMAS,
         };
-        descend(state, cost, limits, |state, damping| {
+        minimize(state, cost, limits, |state, damping| {
             let view = state.view(&self.noise, self.loss);
             let board = state.placed_board();
             let shared = unknowns.shared_free();
@@ -146,8 +151,8 @@ impl Adjustment<'_> {
         Ok(self.normal_equations(state, sigmas)?.0)
     }
 
-    /// Normal matrix and negative gradient of the data by all unknowns, points eliminated, less what the loss wastes of them; with the prior of the posture errors for some
-    /// sigmas, without those of the parameters.
+    /// Normal matrix and negative gradient of the data by all unknowns, points eliminated, less what the loss wastes of
+    /// them; with the prior of the posture errors for some sigmas, without those of the parameters.
     pub(crate) fn normal_equations(
         &self,
         state: &State,
@@ -196,7 +201,7 @@ impl Adjustment<'_> {
         Ok(unknowns.assemble(&system, &columns).1)
     }
 
-    /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are told.
+    /// Points of all tracks under the cameras of `state`; tracks that cannot be triangulated are reported.
     pub(crate) fn triangulate(&self, state: &State) -> Vec<Option<Point3>> {
         triangulate_all(self.observations, &state.view(&self.noise, self.loss), None)
     }
@@ -220,7 +225,7 @@ pub(crate) fn posed_state(
     Ok(state)
 }
 
-/// Eliminates all unknowns but the first `count`: their information when the others are free.
+/// Eliminates all unknowns but the first `count`: their normal matrix when the others are free.
 pub(crate) fn marginal(normal: &DMatrix<f64>, count: usize) -> DMatrix<f64> {
     let total = normal.nrows();
     let own = normal.view((0, 0), (count, count)).into_owned();

@@ -1,12 +1,15 @@
 //! What the errors of single postures have in common: score tests of the usual causes.
 //!
-//! Errors of single postures are taken as independent normal numbers `e` with variances `D`. A cause adds a pattern to them, `e = e' + B g` with few numbers `g`: a
-//! step in time of one joint, a camera that slipped, a clock that is late, gears, compliance. With the posterior mean `e` and covariance `C` at `g = 0`, the score of the
-//! marginal likelihood is `s = B^T D^-1 e`, its information `M = B^T (D^-1 - D^-1 C D^-1) B`, the estimate `M^-1 s`, and twice the gain of the logarithm of the likelihood
-//! `s^T M^-1 s` (Rao's score test; Breslow and Clayton, "Approximate inference in generalized linear mixed models", 1993). Nothing is refitted.
+//! Errors of single postures are taken as independent normal numbers `e` with variances `D`. A cause adds a pattern to
+//! them, `e = e' + B g` with few numbers `g`: a step in time of one joint, a camera that slipped, a clock that is late,
+//! gears, compliance. With the posterior mean `e` and covariance `C` at `g = 0`, the score of the marginal likelihood
+//! is `s = B^T D^-1 e`, its information `M = B^T (D^-1 - D^-1 C D^-1) B`, the estimate `M^-1 s`, and twice the gain of
+//! the logarithm of the likelihood `s^T M^-1 s` (Rao's score test; Breslow and Clayton, "Approximate inference in
+//! generalized linear mixed models", 1993). Nothing is refitted.
 //!
-//! Postures at one arm position share errors, so that they are no independent witnesses. The smaller counts of the test above and of the one whose variance is that of the scores
-//! over arm positions (cluster-robust; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+//! Postures at one arm position share errors, so that they are no independent witnesses. The smaller counts of the test
+//! above and of the one whose variance is that of the scores over arm positions (cluster-robust; Liang and Zeger,
+//! "Longitudinal data analysis using generalized linear models", 1986).
 
 use crate::camera_kinematics::CameraKinematics;
 use crate::{CalibrationError, Model, MountComponent, Parameter, PostureErrorKnowledge};
@@ -41,7 +44,7 @@ pub enum ErrorPattern {
         /// 1 for the period of a turn, 2 for half of it.
         harmonic: u32,
     },
-    /// A joint gives way under the arm's weight. Radians a metre of gravity's gravity_arm arm.
+    /// A joint gives way under the arm's weight. Radians per metre of gravity torque arm.
     Compliance {
         /// Counted from 0.
         joint: usize,
@@ -57,7 +60,8 @@ pub struct PatternFinding {
     pub size: f64,
     /// Sigma of that.
     pub sigma: f64,
-    /// Twice the gain of the logarithm of the likelihood: chi squared with `dof` degrees of freedom where the pattern is not there.
+    /// Twice the gain of the logarithm of the likelihood: chi squared with `dof` degrees of freedom where the pattern
+    /// is not there.
     pub chi_squared: f64,
     /// Numbers of the pattern.
     pub dof: usize,
@@ -67,13 +71,13 @@ pub struct PatternFinding {
 const MIN_AROUND_STEP: usize = 3;
 /// Arm positions for each number of a pattern at least.
 const MIN_POSITIONS_A_NUMBER: usize = 3;
-/// Twice the gain of the log-likelihood from which a pattern of one number is believed: one in a million by chance alone, so that the number of patterns that are tried and
-/// errors that are not quite normal do not matter.
-const BELIEVED: f64 = 24.0;
+/// Twice the gain of the log-likelihood from which a pattern of one number is accepted: one in a million by chance
+/// alone, so that the number of patterns that are tried and errors that are not quite normal do not matter.
+const ACCEPTED: f64 = 24.0;
 /// The same for each further number.
-const BELIEVED_PER_NUMBER: f64 = 3.0;
+const ACCEPTED_PER_NUMBER: f64 = 3.0;
 
-/// The believed patterns, the one that explains most first.
+/// The accepted patterns, the one that explains most first.
 pub(crate) fn error_patterns(
     model: &Model,
     motion: &CameraKinematics,
@@ -109,7 +113,7 @@ pub(crate) fn error_patterns(
         found.extend(tests.pattern(ErrorPattern::TimeOffset, &[late]));
     }
     found.extend(tests.camera_slip(model, motion)?);
-    found.retain(|finding| finding.chi_squared > BELIEVED + BELIEVED_PER_NUMBER * (finding.dof - 1) as f64);
+    found.retain(|finding| finding.chi_squared > ACCEPTED + ACCEPTED_PER_NUMBER * (finding.dof - 1) as f64);
     found.sort_by(|a, b| (b.chi_squared - 2.0 * b.dof as f64).total_cmp(&(a.chi_squared - 2.0 * a.dof as f64)));
     Ok(found)
 }
@@ -175,7 +179,8 @@ impl<'a> ScoreTests<'a> {
         Some(PatternFinding { pattern, size, sigma, chi_squared, dof: columns.len() })
     }
 
-    /// A pattern that each joint may have: by single joints, and by all of them together under the name of the one that has most of it.
+    /// A pattern that each joint may have: by single joints, and by all of them together under the name of the one that
+    /// has most of it.
     fn of_joints(&self, pattern: &dyn Fn(usize) -> ErrorPattern, columns: &[Vec<DVector<f64>>]) -> Vec<PatternFinding> {
         let alone = columns.iter().enumerate().filter_map(|(joint, own)| self.pattern(pattern(joint), own));
         let mut found: Vec<PatternFinding> = alone.collect();
@@ -188,7 +193,8 @@ impl<'a> ScoreTests<'a> {
         found
     }
 
-    /// The smaller of a model's chi squared and of the one whose variance is that of the scores over arm positions. `None` with too few of these.
+    /// The smaller of a model's chi squared and of the one whose variance is that of the scores over arm positions.
+    /// `None` with too few of these.
     fn robust(&self, model: f64, numbers: usize, score_of: &dyn Fn(usize) -> DVector<f64>) -> Option<f64> {
         if self.position_count < MIN_POSITIONS_A_NUMBER * numbers {
             return None;
@@ -254,7 +260,8 @@ impl<'a> ScoreTests<'a> {
         best
     }
 
-    /// The slip of the camera that explains most. A camera that sits elsewhere looks like joints (or a flange) that are off by what moves it as much.
+    /// The slip of the camera that explains most. A camera that sits elsewhere looks like joints (or a flange) that are
+    /// off by what moves it as much.
     fn camera_slip(
         &self,
         model: &Model,

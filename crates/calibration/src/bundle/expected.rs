@@ -1,7 +1,9 @@
-//! What a calibration can be expected to tell, from postures and scene points alone: the Cramer-Rao bound before any image is matched.
+//! What a calibration can be expected to determine, from postures and scene points alone: the Cramer-Rao bound before
+//! any image is matched.
 //!
-//! The information about the parameters does not depend on what was measured, only on where the measurements are made. So observations predicted
-//! by the nominal rig, with the noise that is expected of them, give the covariance of a calibration that has not been made.
+//! The information about the parameters does not depend on what was measured, only on where the measurements are made.
+//! So observations predicted by the nominal rig, with the noise that is expected of them, give the covariance of a
+//! calibration that has not been made.
 
 use crate::bundle::adjust::{Adjustment, marginal, posed_state};
 use crate::bundle::noise::LossCorrection;
@@ -11,7 +13,7 @@ use crate::bundle::random_effects::PostureErrorModel;
 use crate::bundle::start::triangulate_all;
 use crate::bundle::state::NoiseScales;
 use crate::camera_kinematics::CameraKinematics;
-use crate::pose_covariance::spread_to_poses;
+use crate::pose_covariance::propagate_to_poses;
 use crate::prior::Priors;
 use crate::uncertainty::{covariance, describe};
 use crate::{
@@ -28,7 +30,7 @@ use skclam_rig::Rig;
 pub struct ExpectationOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// Sigma of a pixel coordinate whose covariance is the unit matrix, px.
     pub pixel_sigma: f64,
@@ -54,21 +56,22 @@ impl Default for ExpectationOptions {
     }
 }
 
-/// What a calibration can be expected to tell.
+/// What a calibration can be expected to determine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExpectedCalibration {
     /// The free parameters; `value` is the nominal one.
     pub parameters: Vec<ParameterEstimate>,
     /// Covariance of the free parameters in their order and units, the data and the priors together.
     pub covariance: DMatrix<f64>,
-    /// What the data can tell.
+    /// Which parameters are identifiable.
     pub identifiability: Identifiability,
     /// Covariances of flange and camera, one a posture of the data.
     pub poses: Vec<PoseCovariance>,
 }
 
-/// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board corners as the nominal
-/// rig would see them; pairs are not heard. Nothing is solved. Fails where `data` are malformed, or are fewer than the free parameters.
+/// Covariances that [`calibrate_bundle`](crate::calibrate_bundle) can be expected to reach. `data`: tracks and board
+/// corners as the nominal rig would see them; pairs are not used. Nothing is solved. Fails where `data` are malformed,
+/// or are fewer than the free parameters.
 pub fn expected_calibration(
     nominal: &Rig,
     data: &Correspondences,
@@ -86,7 +89,7 @@ pub fn expected_calibration(
     if parameters.is_empty() {
         return Err(CalibrationError::NothingFree);
     }
-    let deg = nominal.prior.joint_deviation_deg.unwrap_or(options.joint_error_deg);
+    let deg = nominal.prior.joint_error_deg.unwrap_or(options.joint_error_deg);
     let posture_errors = if deg > 0.0 { PostureErrorPolicy::SigmaDeg(deg) } else { PostureErrorPolicy::Off };
     let limits = BundleOptions { posture_errors, max_posture_errors: options.max_posture_errors, ..Default::default() };
     let errors = PostureErrorModel::new(nominal, &motion, &limits, &mut Vec::new());
@@ -132,13 +135,14 @@ pub fn expected_calibration(
     priors.add_to(nominal, &model, &parameters, &mut prior_normal, &mut DVector::zeros(count));
     let likelihood = Likelihood { normal, gradient: DVector::zeros(count), offsets: DVector::zeros(count) };
     let inputs = PosteriorInputs { likelihood, prior_normal, priors: priors.clone(), ruler, held: true };
-    // Predicted data lie at the nominal arm and would say that it has no errors: what arms are made to is averaged over instead.
+    // Predicted data lie at the nominal arm and would say that it has no errors: what arms are made to is averaged over
+    // instead.
     let nearest = || covariance(&(&inputs.likelihood.normal + &inputs.prior_normal), &parameters);
     let covariance = inputs.expected_covariance().unwrap_or_else(nearest);
     let normal = inputs.with_instruments(&parameters);
     let (identifiability, estimates) =
         describe(nominal, &model, &data.postures, &parameters, &priors, &normal, &covariance);
-    let poses = spread_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
+    let poses = propagate_to_poses(nominal, &model, &parameters, &covariance, &data.postures)?;
     Ok(ExpectedCalibration { parameters: estimates, covariance, identifiability, poses })
 }
 
@@ -168,7 +172,7 @@ mod tests {
         let mut rng = seeded(5);
         let postures = diverse_postures(&hp3j(), 24, &mut rng);
         let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
-        // Two rooms with as many points, but not the same.
+        // Two scenes with as many points, but not the same.
         let sensing = Sensing { sigma_px: 0.5, ..half_pixel() };
         let data = record(&truth, &postures, &box_points(1000, &mut rng), sensing, &mut rng);
         let fitted = calibrate_bundle(
@@ -206,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_stands_still_is_named() {
+    fn a_joint_that_does_not_move_is_named() {
         let mut postures = diverse_postures(&hp3j(), 24, &mut seeded(5));
         for posture in &mut postures {
             if let PostureState::Joints(values) = &mut posture.state {
@@ -215,7 +219,7 @@ mod tests {
         }
         let expected = expected_calibration(&hp3j(), &predicted(&postures, 1000), &Default::default()).unwrap();
         let reasons: Vec<&str> =
-            expected.identifiability.unobservable.iter().map(|unseen| unseen.reason.as_str()).collect();
+            expected.identifiability.unobservable.iter().map(|direction| direction.reason.as_str()).collect();
         assert!(reasons.iter().any(|reason| reason.starts_with("joint 5 moved by only 0.0 deg")), "{reasons:?}");
         assert!(expected.parameters.iter().any(|parameter| parameter.note.is_some()));
         assert_eq!(expected.poses.len(), 24);

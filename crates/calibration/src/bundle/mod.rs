@@ -1,8 +1,9 @@
 //! Kinematic bundle adjustment: the estimator that reaches the Cramer-Rao bound.
 //!
-//! Camera poses are functions of the free parameters, so that after the scene points are eliminated the normal equations are as small as the parameters (and
-//! the joint deviations, six a posture). Residuals: reprojection, measured depth whose sigma grows with the square of the depth, board
-//! corners, priors, joint deviations about zero. The cost is linear in the number of observations.
+//! Camera poses are functions of the free parameters, so that after the scene points are eliminated the normal
+//! equations are as small as the parameters (and the joint errors, six a posture). Residuals: reprojection, measured
+//! depth whose sigma grows with the square of the depth, board corners, priors, joint errors about zero. The cost is
+//! linear in the number of observations.
 
 mod adjust;
 mod causes;

@@ -1,19 +1,20 @@
 //! The noise of pixels, depths and joints, estimated from what is left of the residuals.
 //!
-//! Simplified estimation of variance components (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", 1979): the squared residuals
-//! of a kind, divided by the degrees of freedom that the fit leaves them. Residuals beyond a gate are left out and the truncation is corrected.
+//! Simplified estimation of variance components (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und
+//! Kovarianzkomponenten", 1979): the squared residuals of a kind, divided by the degrees of freedom that the fit leaves
+//! them. Residuals beyond a gate are left out and the truncation is corrected.
 
 use crate::bundle::residuals::ResidualSize;
 use crate::bundle::state::NoiseScales;
 use crate::robust::{median, quantile};
 use crate::{Loss, PostureFit, ReprojectionStatistics};
 
-/// Pixel residuals (two coordinates) beyond so many sigmas say nothing about the noise.
+/// Pixel residuals (two coordinates) beyond so many sigmas carry no information about the noise.
 const PIXEL_GATE: f64 = 4.5;
 /// Mean square over 2 of a two-dimensional normal within that radius: `1 - (g^2/2) e / (1 - e)`, `e = exp(-g^2/2)`.
 const PIXEL_TRUNCATION: f64 = 0.999_59;
-/// The same for one dimension: `1 - 2 g phi(g) / (2 Phi(g) - 1)`. The gates are wide because the residuals of a point that two images show have
-/// fewer dimensions than two.
+/// The same for one dimension: `1 - 2 g phi(g) / (2 Phi(g) - 1)`. The gates are wide because the residuals of a point
+/// that two images show have fewer dimensions than two.
 const DEPTH_GATE: f64 = 4.0;
 const DEPTH_TRUNCATION: f64 = 0.998_93;
 /// Beyond so many sigmas an observation is called an outlier.
@@ -22,7 +23,8 @@ pub(crate) const OUTLIER_SIGMAS: f64 = 4.5;
 const EXACT_PX: f64 = 1e-6;
 const EXACT_DEPTH: f64 = 1e-8;
 
-/// New scales from residuals measured with the old ones. `dof`: fraction of all degrees of freedom that the global unknowns leave.
+/// New scales from residuals measured with the old ones. `dof`: fraction of all degrees of freedom that the global
+/// unknowns leave.
 pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, dof: f64) -> NoiseScales {
     let pixels: Vec<(f64, f64)> =
         sizes.iter().filter(|s| s.pixel.is_finite()).map(|s| (s.pixel, 0.5 * s.pixel_dof)).collect();
@@ -38,18 +40,19 @@ pub(crate) fn rescaled(sizes: &[ResidualSize], old: &NoiseScales, dof: f64) -> N
     }
 }
 
-/// Scale of residuals `(size, share of its degrees of freedom)`: the smallest third first, then the fixed point within the gate.
+/// Scale of residuals `(size, fraction of its degrees of freedom)`: the smallest third first, then the fixed point
+/// within the gate.
 fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square: f64) -> f64 {
-    // An observation that its own point swallows says nothing.
-    let heard: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();
-    let mut sizes: Vec<f64> = heard.iter().map(|(size, dof)| size / dof.sqrt()).collect();
+    // An observation that its own point absorbs carries no information.
+    let used: Vec<(f64, f64)> = residuals.iter().copied().filter(|(_, dof)| *dof > 0.02).collect();
+    let mut sizes: Vec<f64> = used.iter().map(|(size, dof)| size / dof.sqrt()).collect();
     if sizes.is_empty() {
         return 1.0;
     }
     let mut scale = quantile(&mut sizes, 1.0 / 3.0) / third_of_one;
     for _ in 0..30 {
         let (mut sum, mut dof) = (0.0, 0.0);
-        for (size, fraction) in &heard {
+        for (size, fraction) in &used {
             if *size < gate * scale * fraction.sqrt() {
                 sum += size * size;
                 dof += fraction;
@@ -68,14 +71,15 @@ fn component(residuals: &[(f64, f64)], third_of_one: f64, gate: f64, mean_square
     scale
 }
 
-/// How a robust loss stands beside a quadratic prior.
+/// How a robust loss is weighted against a quadratic prior.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LossCorrection {
-    /// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix (Huber and Ronchetti, "Robust Statistics", 2009, section 7.6):
-    /// `mean(psi^2) mean(w) / mean(psi')^2`.
+    /// By how much the covariance of the M-estimator exceeds the inverse of its weighted normal matrix (Huber and
+    /// Ronchetti, "Robust Statistics", 2009, section 7.6): `mean(psi^2) mean(w) / mean(psi')^2`.
     pub efficiency_factor: f64,
-    /// `mean(psi^2) / mean(psi')`. A likelihood's score varies as much as it bends; that of a loss which bends more than its score varies would outshout a prior,
-    /// so that the prior is weighted with the same ratio. The variance of joint deviations would else come out too small.
+    /// `mean(psi^2) / mean(psi')`. A likelihood's score varies as much as it bends; that of a loss which bends more
+    /// than its score varies would outshout a prior, so that the prior is weighted with the same ratio. The variance of
+    /// joint errors would else come out too small.
     pub prior_weight: f64,
 }
 
@@ -87,7 +91,7 @@ impl LossCorrection {
     pub(crate) fn of(sizes: &[ResidualSize], loss: Loss) -> LossCorrection {
         let (mut psi2, mut weight, mut curvature) = (0.0, 0.0, 0.0);
         let (mut dof, mut count) = (0.0, 0.0);
-        let mut hear = |u: f64, dimensions: f64, fraction: f64| {
+        let mut add = |u: f64, dimensions: f64, fraction: f64| {
             let (w, c) = (loss.weight(u), loss.curvature(u));
             psi2 += (w * u).powi(2);
             weight += dimensions * w;
@@ -96,9 +100,9 @@ impl LossCorrection {
             count += dimensions;
         };
         for size in sizes.iter().filter(|s| s.pixel < OUTLIER_SIGMAS) {
-            hear(size.pixel, 2.0, size.pixel_dof);
+            add(size.pixel, 2.0, size.pixel_dof);
             if let Some((u, fraction)) = size.depth.filter(|(u, _)| u.abs() < OUTLIER_SIGMAS) {
-                hear(u, 1.0, fraction);
+                add(u, 1.0, fraction);
             }
         }
         if dof <= 0.0 || curvature <= 0.0 {

@@ -11,19 +11,21 @@ pub enum PostureErrorPolicy {
     Off,
     /// They are off with this sigma, degrees.
     SigmaDeg(f64),
-    /// They are off; the rig's `joint_deviation_deg` is their sigma, or it is estimated.
+    /// They are off; the rig's `joint_error_deg` is their sigma, or it is estimated.
     #[default]
     Estimated,
 }
 
-/// What becomes of the scale of the standard of length: the board's squares, or the depth's own scale where there is no board.
+/// What becomes of the scale of the standard of length: the board's squares, or the depth's own scale where there is no
+/// board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RulerPolicy {
-    /// It is a parameter like the others: where the arm's nominal lengths and the standard disagree, their tolerances decide.
+    /// It is a parameter like the others: where the arm's nominal lengths and the standard disagree, their tolerances
+    /// decide.
     Estimated,
-    /// It is held, and its tolerance goes into the covariance: a considered parameter (Schmidt, "Application of state-space methods to navigation problems",
-    /// 1966).
+    /// It is held, and its tolerance goes into the covariance: a considered parameter (Schmidt, "Application of
+    /// state-space methods to navigation problems", 1966).
     #[default]
     Considered,
 }
@@ -34,7 +36,7 @@ pub enum RulerPolicy {
 pub struct BundleOptions {
     /// What is free.
     pub free: Free,
-    /// Which priors are heard.
+    /// Which priors are used.
     pub priors: PriorPolicy,
     /// The loss; its constant in sigmas.
     pub loss: Loss,
@@ -46,7 +48,8 @@ pub struct BundleOptions {
     pub max_rounds: usize,
     /// Unknown posture errors at most; beyond, they are left at zero with a warning.
     pub max_posture_errors: usize,
-    /// Whether the standard of length that the data bring (board, else depth) is taken at its word, and only its tolerance put into the covariance.
+    /// Whether the standard of length that the data bring (board, else depth) is taken as exact, and only its tolerance
+    /// put into the covariance.
     pub ruler: RulerPolicy,
     /// Whether postures that do not fit are left out, or only named.
     pub exclude_outlier_postures: bool,

@@ -1,6 +1,7 @@
 //! Which postures do not belong: wrong joint values, a displaced camera, a moved scene.
 //!
-//! Where two observations of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in which at least two others agree.
+//! Where two observations of one point disagree nobody can say which is wrong. So a posture is judged by the tracks in
+//! which at least two others agree.
 
 use crate::PostureFit;
 use crate::bundle::noise::{OUTLIER_SIGMAS, posture_fits};
@@ -8,28 +9,28 @@ use crate::bundle::observations::Observations;
 use crate::bundle::residuals::ResidualSize;
 use crate::robust::median;
 
-/// A posture is suspect when so many of its observations are outliers, and so many more than everywhere.
+/// A posture is an outlier when so many of its observations are outliers, and so many more than everywhere.
 const OUTLIER_POSTURE_FRACTION: f64 = 0.5;
 const OUTLIER_POSTURE_EXCESS: f64 = 0.25;
 /// Or when its median residual is so many times that of the median posture.
 const OUTLIER_POSTURE_MEDIAN: f64 = 3.0;
 /// Observations that a judgement takes.
-const ENOUGH_SIGHTS: usize = 8;
+const MIN_OBSERVATIONS: usize = 8;
 
-/// How well each posture fits where it can be told: in tracks of three observations or more of which two agree, and on the board. Postures with hardly any such observations are
-/// judged by all.
+/// How well each posture fits where it can be judged: in tracks of three observations or more of which two agree, and
+/// on the board. Postures with hardly any such observations are judged by all.
 pub(crate) fn judged(sizes: &[ResidualSize], observations: &Observations) -> Vec<PostureFit> {
-    let mut told: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
+    let mut judged: Vec<ResidualSize> = Vec::with_capacity(sizes.len());
     for range in observations.offsets.windows(2) {
         let track = &sizes[range[0]..range[1]];
         if track.len() >= 3 && track.iter().filter(|size| size.pixel < OUTLIER_SIGMAS).count() >= 2 {
-            told.extend_from_slice(track);
+            judged.extend_from_slice(track);
         }
     }
-    told.extend_from_slice(&sizes[observations.observations.len()..]);
-    let mut fits = posture_fits(&told, observations.postures);
+    judged.extend_from_slice(&sizes[observations.observations.len()..]);
+    let mut fits = posture_fits(&judged, observations.postures);
     let all = posture_fits(sizes, observations.postures);
-    fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < ENOUGH_SIGHTS).for_each(|(fit, all)| *fit = all);
+    fits.iter_mut().zip(all).filter(|(fit, _)| fit.observations < MIN_OBSERVATIONS).for_each(|(fit, all)| *fit = all);
     fits
 }
 
@@ -65,7 +66,7 @@ pub(crate) fn remove_biased_depths(observations: &mut Observations, sizes: &[Res
 /// Postures that fit far worse than the others; never more than a fifth of them.
 pub(crate) fn outlier_postures(fits: &[PostureFit]) -> Vec<usize> {
     let seen: Vec<(usize, &PostureFit)> =
-        fits.iter().enumerate().filter(|(_, fit)| fit.observations >= ENOUGH_SIGHTS).collect();
+        fits.iter().enumerate().filter(|(_, fit)| fit.observations >= MIN_OBSERVATIONS).collect();
     let fraction = |fit: &PostureFit| fit.outliers as f64 / fit.observations as f64;
     let usual_fraction = median(&mut seen.iter().map(|(_, fit)| fraction(fit)).collect::<Vec<_>>());
     let usual_median = median(&mut seen.iter().map(|(_, fit)| fit.median_sigmas).collect::<Vec<_>>());

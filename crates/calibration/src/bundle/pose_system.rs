@@ -1,7 +1,8 @@
-//! Normal equations whose unknowns are camera twists, the board's twist and the numbers that all observations share.
+//! Normal equations whose unknowns are camera twists, the board's twist and the parameters common to all observations.
 //!
-//! Twists are those of the base frame. With `T(X) = [I, -[X]x]` a camera's twist moves what it sees of a point `X` by `-T xi`, so that an observation of
-//! information `B` adds `T^T B T`, and every block of the Schur complement is a 3 x 3 between two `T`.
+//! Twists are those of the base frame. With `T(X) = [I, -[X]x]` a camera's twist moves what it sees of a point `X` by
+//! `-T xi`, so that an observation of normal matrix `B` adds `T^T B T`, and every block of the Schur complement is a 3
+//! x 3 between two `T`.
 
 use crate::bundle::observations::CornerObservation;
 use crate::bundle::projection_model::{BOARD_SCALE, ProjectionModel, SHARED};
@@ -114,7 +115,8 @@ impl PoseSystem {
         if i <= j { self.blocks[self.index(i, j)] } else { self.blocks[self.index(j, i)].transpose() }
     }
 
-    /// What an observation of information `B` and descent `g` has by itself: `T^T B T` and `-T^T g`.
+    /// What an observation with normal matrix `B` and right-hand side `g` contributes by itself: `T^T B T` and `-T^T
+    /// g`.
     #[inline]
     pub(crate) fn add_observation(&mut self, i: usize, point: &Point3, normal: &Matrix3<f64>, rhs: &Vector3<f64>) {
         let [a, b, c] = by_twist(normal, point);

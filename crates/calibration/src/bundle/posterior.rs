@@ -1,9 +1,11 @@
-//! The covariance of the parameters with everything in it that is not known: the scale of the arm's priors and the size of the standard of length, integrated over.
+//! The covariance of the parameters with everything in it that is not known: the scale of the arm's priors and the size
+//! of the standard of length, integrated over.
 //!
-//! About the optimum the likelihood of the data (posture errors, board and scene points eliminated) is a normal distribution of the parameters. For any sigmas of the
-//! prior groups its product with the prior, and the evidence for those sigmas, are then closed forms, and the covariance is that of the mixture over a grid of them,
-//! about the optimum that is reported. The standard of length (the board's squares, or the depth's scale) may have been held there: how far the posterior moves it is then
-//! part of the covariance.
+//! About the optimum the likelihood of the data (posture errors, board and scene points eliminated) is a normal
+//! distribution of the parameters. For any sigmas of the prior groups its product with the prior, and the evidence for
+//! those sigmas, are then closed forms, and the covariance is that of the mixture over a grid of them, about the
+//! optimum that is reported. The standard of length (the board's squares, or the depth's scale) may have been held
+//! there: how far the posterior moves it is then part of the covariance.
 
 use crate::Parameter;
 use crate::bundle::adjust::inverse;
@@ -43,7 +45,8 @@ impl PosteriorInputs {
         posterior(&self.likelihood, &self.prior_normal, &self.priors, self.ruler, self.held)
     }
 
-    /// Normal matrix of the data and of the tolerances of cameras and board: what can be identified with instruments as good as such devices are.
+    /// Normal matrix of the data and of the tolerances of cameras and board: what can be identified with instruments as
+    /// good as such devices are.
     pub(crate) fn with_instruments(&self, parameters: &[Parameter]) -> DMatrix<f64> {
         let mut normal = self.likelihood.normal.clone();
         for (k, parameter) in parameters.iter().enumerate() {
@@ -75,7 +78,8 @@ impl PosteriorInputs {
         Some(sum / total)
     }
 
-    /// The same with observations that are worth less by a factor of their variance: what a parameter is known to beyond its prior, it is known to less.
+    /// The same with observations that are worth less by a factor of their variance: what a parameter is known to
+    /// beyond its prior, it is known to less.
     pub(crate) fn tempered(&self, variance_factor: f64) -> Self {
         let mut tempered = self.clone();
         tempered.likelihood.normal /= variance_factor;
@@ -203,7 +207,8 @@ mod tests {
         priors
     }
 
-    /// Second moments about `center` of two parameters and the logarithm of the sigma of the first, summed over a fine grid.
+    /// Second moments about `center` of two parameters and the logarithm of the sigma of the first, summed over a fine
+    /// grid.
     fn integrated(normal: &Matrix2<f64>, mode: &Vector2<f64>, known: f64, center: &Vector2<f64>) -> Matrix2<f64> {
         let median = PriorGroup::Angles.median();
         let reach = 12.0 * median;

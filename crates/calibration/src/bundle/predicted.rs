@@ -16,8 +16,9 @@ pub(crate) struct Predicted {
     pub distance_px: f64,
 }
 
-/// Distances, px, of the observations of held-out postures to where the model expects them: first those of tracks, then of board corners, in the order of the data. Points and
-/// board lie where the other postures saw them. Infinite where a track has fewer than two other observations, or cannot be triangulated from them.
+/// Distances, px, of the observations of held-out postures to where the model expects them: first those of tracks, then
+/// of board corners, in the order of the data. Points and board lie where the other postures saw them. Infinite where a
+/// track has fewer than two other observations, or cannot be triangulated from them.
 pub(crate) fn predicted_distances(
     model: &Model,
     posture_errors: &[f64],

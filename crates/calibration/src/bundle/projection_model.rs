@@ -1,7 +1,8 @@
 //! What the cameras measure of a scene point: residuals, costs, and both linearised by the point.
 //!
-//! Everything is differentiated by the point *in the base frame*. A twist `(v, omega)` of the base frame that moves a camera moves what it sees by
-//! `-(v + omega x X)`, whichever camera it is, so that the 3 x 3 information of a point is all that an observation has to tell.
+//! Everything is differentiated by the point *in the base frame*. A twist `(v, omega)` of the base frame that moves a
+//! camera moves what it sees by `-(v + omega x X)`, whichever camera it is, so that the 3 x 3 normal matrix of a point
+//! is all that an observation contributes.
 
 use crate::bundle::observations::Observation;
 use crate::{DepthCorrection, Loss};
@@ -50,7 +51,7 @@ impl Frame {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scales {
     pub loss: Loss,
-    /// Sigma of a pixel coordinate whose covariance is told as 1.
+    /// Sigma of a pixel coordinate whose covariance is given as 1.
     pub pixel: f64,
     /// `s` of `sigma = s z^2`: the sigma of an inverse depth.
     pub depth: f64,
@@ -73,7 +74,7 @@ pub(crate) struct LinearizedObservation {
     pub rhs: Vector3<f64>,
 }
 
-/// The same for the numbers that all observations share.
+/// The same for the parameters common to all observations.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinearizedShared {
     /// With the point in the base frame.
@@ -82,8 +83,8 @@ pub(crate) struct LinearizedShared {
     pub rhs: SVector<f64, SHARED>,
 }
 
-/// How the depth that a pixel shows grows with the depth camera's translation and rotation in the colour camera's axes: the surface moves, and the pixel's
-/// ray meets it elsewhere where it is slanted.
+/// How the depth that a pixel shows grows with the depth camera's translation and rotation in the colour camera's axes:
+/// the surface moves, and the pixel's ray meets it elsewhere where it is slanted.
 fn depth_by_extrinsics(observation: &Observation, in_camera: &Point3) -> [f64; 6] {
     let z = observation.depth_m;
     let (x, y) = (in_camera.x / in_camera.z, in_camera.y / in_camera.z);
@@ -117,11 +118,13 @@ impl ProjectionModel<'_> {
         observation.pixel_weight * loss.rho(u) + observation.depth_weight * depth
     }
 
-    /// How much farther the sensor saw a point than it should have at `z`, in sigmas, and by how much that falls a metre of z.
+    /// How much farther the sensor saw a point than it should have at `z`, in sigmas, and by how much that falls a
+    /// metre of z.
     ///
-    /// It is taken in *inverse* depth of the sensor's own reading, where the noise `s z^2` of a depth is the constant `s`: weights made of
-    /// noisy depths would count near readings more than far ones and shrink the world, and a residual in corrected metres would shrink with the
-    /// depth's scale. The mean of the reciprocal of a reading with normal noise, `1/z + s^2 z`, is allowed for.
+    /// It is taken in *inverse* depth of the sensor's own reading, where the noise `s z^2` of a depth is the constant
+    /// `s`: weights made of noisy depths would count near readings more than far ones and shrink the world, and a
+    /// residual in corrected metres would shrink with the depth's scale. The mean of the reciprocal of a reading with
+    /// normal noise, `1/z + s^2 z`, is allowed for.
     pub(crate) fn depth_residual(&self, observation: &Observation, in_camera: &Point3) -> (f64, f64) {
         let s = self.scales.depth;
         let z = self.depth_before_scale(observation, in_camera);
@@ -130,7 +133,8 @@ impl ProjectionModel<'_> {
         ((1.0 / expected - measured) / s, 1.0 / (expected * expected * self.depth.scale * s))
     }
 
-    /// The depth that the sensor should have read, but for its scale: what its offset and its place beside the colour camera make of a point's depth.
+    /// The depth that the sensor should have read, but for its scale: what its offset and its place beside the colour
+    /// camera make of a point's depth.
     fn depth_before_scale(&self, observation: &Observation, in_camera: &Point3) -> f64 {
         let z = in_camera.z - self.depth.offset_m;
         if self.depth.extrinsics == [0.0; 6] {

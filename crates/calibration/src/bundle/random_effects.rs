@@ -1,8 +1,8 @@
 //! Errors of single postures as random effects: how many unknowns they are, and what the data say of their variances.
 //!
-//! A joint stands off its reading in every posture anew (encoder, backlash, bending under load), a controller's flange pose is off by six numbers. All
-//! observations of an image share these errors: they do not average out with the number of its features, so they are always in the model, with
-//! variances estimated by marginal likelihood.
+//! A joint is off its reading in every posture anew (encoder, backlash, bending under load), a controller's flange pose
+//! is off by six numbers. All observations of an image share these errors: they do not average out with the number of
+//! its features, so they are always in the model, with variances estimated by marginal likelihood.
 
 use crate::bundle::adjust::{Adjustment, inverse};
 use crate::bundle::solve::BundleAdjuster;
@@ -16,13 +16,14 @@ use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
 use skclam_rig::Rig;
 
-/// Sigma of a joint's error before the data are heard, rad (0.003 deg): a good encoder.
+/// Sigma of a joint's error before the data are used, rad (0.003 deg): a good encoder.
 const FIRST_JOINT: f64 = 5.2e-5;
 /// The same of a prismatic joint, m.
 const FIRST_SLIDE: f64 = 3e-5;
 /// Of a controller's flange pose, whose errors are those of the nominal arm: rad and m.
 const FIRST_POSE: PostureErrorSigmas = PostureErrorSigmas { angular: 1e-3, linear: 5e-4 };
-/// A posture whose errors are so many times as large as those of the median posture says nothing about the others.
+/// A posture whose errors are so many times as large as those of the median posture carries no information about the
+/// others.
 const FAR_OFF: f64 = 5.0;
 
 /// Whether a number is an angle or a length.
@@ -40,7 +41,7 @@ pub enum ErrorKind {
 pub(crate) struct PostureErrorModel {
     /// One a component: a joint, or the six of a flange pose.
     pub kinds: Vec<ErrorKind>,
-    /// Sigmas before the data are heard.
+    /// Sigmas before the data are used.
     pub first: PostureErrorSigmas,
     /// Whether the sigma of angular, of linear components is estimated.
     pub estimated: [bool; 2],
@@ -52,7 +53,7 @@ pub(super) struct PostureErrorEstimate {
     pub sigmas: PostureErrorSigmas,
     /// How many of the errors are determined by the data rather than by their prior.
     pub determined: f64,
-    /// Degrees of dof of the sigmas' estimate.
+    /// Degrees of freedom of the sigmas' estimate.
     pub dof: f64,
     /// Postures whose errors are far larger than the others' and than the sigma held until now.
     pub far_off: Vec<usize>,
@@ -72,7 +73,7 @@ impl PostureErrorModel {
         warnings: &mut Vec<Warning>,
     ) -> Self {
         let kinds = error_kinds(nominal, motion);
-        let stated = nominal.prior.joint_deviation_deg.filter(|_| motion.has_joints()).map(f64::to_radians);
+        let stated = nominal.prior.joint_error_deg.filter(|_| motion.has_joints()).map(f64::to_radians);
         let joints = PostureErrorSigmas { angular: FIRST_JOINT, linear: FIRST_SLIDE };
         let first = if motion.has_joints() { joints } else { FIRST_POSE };
         let fixed = match options.posture_errors {
@@ -119,8 +120,8 @@ fn error_kinds(nominal: &Rig, motion: &CameraKinematics) -> Vec<ErrorKind> {
 impl BundleAdjuster<'_> {
     /// What the data say of the posture errors; `None` where their covariance cannot be had.
     ///
-    /// The sigma is the one under which the data are most likely (MacKay, "Bayesian interpolation", 1992): squared errors over the number of them that the
-    /// data determine, beside a wide prior of its own.
+    /// The sigma is the one under which the data are most likely (MacKay, "Bayesian interpolation", 1992): squared
+    /// errors over the number of them that the data determine, beside a wide prior of its own.
     pub(super) fn posture_error_estimate(
         &self,
         adjustment: &Adjustment<'_>,
@@ -137,7 +138,7 @@ impl BundleAdjuster<'_> {
         let prior = self.errors.sigma_of(&sigmas);
         let determined = |k: usize| (1.0 - covariance[(first + k, first + k)] / prior(k).powi(2)).clamp(0.0, 1.0);
         let whitened = |k: usize| (state.posture_errors[k] / prior(k)).powi(2);
-        // One that stands far off (a displaced camera, wrong joints) is no noise.
+        // One that is far off (a displaced camera, wrong joints) is no noise.
         let ratio = |posture: usize| {
             let range = posture * components..(posture + 1) * components;
             range.clone().map(whitened).sum::<f64>() / range.map(determined).sum::<f64>().max(1e-3)
@@ -173,8 +174,8 @@ impl BundleAdjuster<'_> {
     }
 }
 
-/// The likeliest sigmas of the arm's prior groups, from the data's normal matrix of the parameters (everything else eliminated) and the parameters' offsets from
-/// nominal at the optimum under `priors`.
+/// The likeliest sigmas of the arm's prior groups, from the data's normal matrix of the parameters (everything else
+/// eliminated) and the parameters' offsets from nominal at the optimum under `priors`.
 pub(super) fn likeliest_groups(normal: &DMatrix<f64>, offsets: &DVector<f64>, priors: &Priors) -> Priors {
     const ROUNDS: usize = 40;
     let weights = |priors: &Priors| {
@@ -218,7 +219,8 @@ mod tests {
         (parameters, priors)
     }
 
-    /// Independent measurements of the parameters with sigmas of `noise` times the group's median, of truths that are `size` times it.
+    /// Independent measurements of the parameters with sigmas of `noise` times the group's median, of truths that are
+    /// `size` times it.
     fn measured(priors: &Priors, noise: f64, size: f64, seed: u64) -> (DVector<f64>, DVector<f64>) {
         let mut rng = seeded(seed);
         let count = priors.sigmas.len();

@@ -1,8 +1,10 @@
-//! Elimination of the scene points: normal equations by cameras, board and shared numbers, and the points that follow a step of those.
+//! Elimination of the scene points: normal equations by cameras, board and shared numbers, and the points that follow a
+//! step of those.
 //!
-//! For a track with point block `V` (3 x 3), pose blocks `U_i` and couplings `W_i` the Schur complement adds `U_i - W_i V^-1 W_i^T` on the diagonal and
-//! `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1). With `V = L L^T` and the observations'
-//! informations `B_i`, `W_i = -T^T B_i` and the products are `Z_i^T Z_j`, `Z_i = L^-1 B_i T`.
+//! For a track with point block `V` (3 x 3), pose blocks `U_i` and couplings `W_i` the Schur complement adds `U_i - W_i
+//! V^-1 W_i^T` on the diagonal and `-W_i V^-1 W_j^T` off it (Triggs et al., "Bundle adjustment: a modern synthesis",
+//! 2000, section 6.1). With `V = L L^T` and the observations' informations `B_i`, `W_i = -T^T B_i` and the products are
+//! `Z_i^T Z_j`, `Z_i = L^-1 B_i T`.
 
 use crate::bundle::observations::{CornerObservation, Observation, Observations};
 use crate::bundle::pose_system::{PoseSystem, SharedByPoint, SharedVector, TwistRows, by_twist, moved_by};
@@ -42,7 +44,7 @@ pub(crate) struct Eliminated {
     shared: Vec<SharedByPoint>,
 }
 
-/// How tracks are eliminated, and room for one of them, used again for the next.
+/// How tracks are eliminated, and buffers for one of them, used again for the next.
 #[derive(Default)]
 struct Workspace {
     shared_free: bool,
@@ -58,7 +60,7 @@ struct PointBlock {
     inverse: Matrix3<f64>,
 }
 
-/// `None` where the smallest eigenvalue is lost beside the greatest: the track then says nothing.
+/// `None` where the smallest eigenvalue is lost beside the greatest: the track then carries no information.
 fn point_block(normal: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
     let damped = normal + Matrix3::from_diagonal(&normal.diagonal()) * damping;
     let trace = damped.trace();
@@ -74,7 +76,7 @@ fn point_block(normal: &Matrix3<f64>, damping: f64) -> Option<PointBlock> {
     Some(PointBlock { factor_inverse, inverse: factor_inverse.transpose() * factor_inverse })
 }
 
-/// Inverse of a track's point block without damping: the covariance of the point when the cameras stand still.
+/// Inverse of a track's point block without damping: the covariance of the point when the cameras are fixed.
 pub(crate) fn point_covariance(
     view: &ProjectionModel<'_>,
     track: &[Observation],
@@ -215,7 +217,8 @@ pub(crate) struct CameraStep {
     pub shared: Option<SharedVector>,
 }
 
-/// Points after a step of cameras and shared numbers, `V^-1 (g - sum W_i^T xi_i - W_s^T s)`, and the cost of their tracks in the view that the step leads to.
+/// Points after a step of cameras and shared numbers, `V^-1 (g - sum W_i^T xi_i - W_s^T s)`, and the cost of their
+/// tracks in the view that the step leads to.
 pub(crate) fn follow(
     observations: &Observations,
     chunks: &[Chunk],

@@ -18,7 +18,7 @@ pub(crate) struct ResidualSize {
     pub pixel: f64,
     /// Its two degrees of freedom less what its own point takes.
     pub pixel_dof: f64,
-    /// Depth residual in sigmas and what is left of its degree of dof.
+    /// Depth residual in sigmas and what is left of its degree of freedom.
     pub depth: Option<(f64, f64)>,
 }
 

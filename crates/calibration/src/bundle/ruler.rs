@@ -1,7 +1,7 @@
 //! A standard of length that is wrong beyond every tolerance: a slip of the pen in `square_mm` or `unit_mm`.
 //!
-//! Such a slip is less likely than any tolerance has it, so that the evidence prefers an arm whose lengths are all wrong. But then they are wrong by the same factor, and lengths that
-//! are wrong by themselves are not.
+//! Such a slip is less likely than any tolerance has it, so that the evidence prefers an arm whose lengths are all
+//! wrong. But then they are wrong by the same factor, and lengths that are wrong by themselves are not.
 
 use crate::{Parameter, ParameterEstimate, Ruler, Unit, Warning};
 
@@ -12,7 +12,8 @@ const BEYOND_TOLERANCE: f64 = 2.0;
 /// Fewer lengths do not show that.
 const MIN_LENGTHS: usize = 5;
 
-/// Names the standard of length where all lengths of the arm grew by a factor that neither chance nor its tolerance explains.
+/// Names the standard of length where all lengths of the arm grew by a factor that neither chance nor its tolerance
+/// explains.
 pub(super) fn grown_together(estimates: &[ParameterEstimate], ruler: &Ruler) -> Option<Warning> {
     let (scale_error, sigma) = common_scale_error(estimates)?;
     let together =

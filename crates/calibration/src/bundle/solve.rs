@@ -1,4 +1,5 @@
-//! The estimator from start to result: start pairwise, screen for outlier postures, adjust everything, estimate the noise, conclude.
+//! The estimator from start to result: start pairwise, screen for outlier postures, adjust everything, estimate the
+//! noise, conclude.
 
 use crate::bundle::adjust::{Adjustment, marginal_equations, posed_state};
 use crate::bundle::causes::error_patterns;
@@ -26,20 +27,22 @@ use nalgebra::{DMatrix, DVector};
 use skclam_rig::Rig;
 use std::cell::Cell;
 
-/// Observations that the descent uses until it has settled; then all.
+/// Observations that the minimisation uses until it has settled; then all.
 const SAMPLE_OBSERVATIONS: usize = 60_000;
-/// Bounds of the sigma of a joint's error, rad (or m): below 0.0003 deg nothing moves by what can be measured, and joints that are off by more than half a degree
-/// are no random effect: something else is wrong, and posture errors must not swallow it.
+/// Bounds of the sigma of a joint's error, rad (or m): below 0.0003 deg nothing moves by what can be measured, and
+/// joints that are off by more than half a degree are no random effect: something else is wrong, and posture errors
+/// must not swallow it.
 const POSTURE_ERROR_BOUNDS: [f64; 2] = [5e-6, 8.7e-3];
-/// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot fit the data is not worth more.
+/// Iterations of one adjustment, and of all adjustments of a calibration, in those of one round: a model that cannot
+/// fit the data is not worth more.
 const ITERATION_BUDGET: [usize; 2] = [2, 4];
-/// Data as good as this (sigma beside what they say of themselves) are synthetic, and descend to rounding.
+/// Data as good as this (sigma beside what they say of themselves) are synthetic, and are minimised to rounding.
 const EXACT_SIGMA: f64 = 1e-2;
 /// What an adjustment is left with when the budget has run out.
 const MIN_ITERATIONS: usize = 10;
 /// Times that the sample is searched for postures that are wrong.
 const MAX_SCREENING_ROUNDS: usize = 3;
-/// `s` of `sigma = s z^2` before the data are heard, 1/m.
+/// `s` of `sigma = s z^2` before the data are used, 1/m.
 const FIRST_DEPTH: f64 = 0.01;
 /// Fewer observations of a kind do not determine its noise.
 const MIN_OF_A_KIND: usize = 50;
@@ -69,7 +72,8 @@ pub(crate) struct Evaluated {
 /// No posture errors.
 const NO_ERRORS: PostureErrorSigmas = PostureErrorSigmas { angular: 1.0, linear: 1.0 };
 
-/// Residuals of two models on the same observations, whose pixels have noise of `sigma_px`: points and the board are fitted to each model's cameras, nothing else moves.
+/// Residuals of two models on the same observations, whose pixels have noise of `sigma_px`: points and the board are
+/// fitted to each model's cameras, nothing else moves.
 pub(crate) fn compare(
     nominal: &Model,
     calibrated: &Model,
@@ -218,8 +222,8 @@ impl BundleAdjuster<'_> {
         Observations::new(self.nominal, data, &|posture| !out.contains(&posture), &mut Vec::new())
     }
 
-    /// Most of the way on a sample, the last steps on everything. The sigma of the posture errors is held at first: estimated beside a posture that is wrong, it would
-    /// grow until such errors explain anything.
+    /// Most of the way on a sample, the last steps on everything. The sigma of the posture errors is held at first:
+    /// estimated beside a posture that is wrong, it would grow until such errors explain anything.
     fn screen(
         &self,
         data: &Correspondences,
@@ -335,8 +339,8 @@ impl BundleAdjuster<'_> {
         Ok(Readmission { readmitted: outliers.len() < all_out.len(), fits })
     }
 
-    /// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be triangulated take
-    /// the point of `fallback`, or are left out.
+    /// Residuals of a model: points and the board are fitted to its cameras, nothing else moves. Tracks that cannot be
+    /// triangulated take the point of `fallback`, or are left out.
     fn evaluate(
         &self,
         model: &Model,
@@ -366,14 +370,15 @@ impl BundleAdjuster<'_> {
             ..self.adjustment(&observations, &priors, noise, loss, LossCorrection::EVEN)
         };
         let state = match (posture_errors.is_empty(), state.base_from_board) {
-            (true, Some(_)) => adjustment.descend(state, 50)?.state,
+            (true, Some(_)) => adjustment.minimize(state, 50)?.state,
             _ => state,
         };
         let sizes = adjustment.residual_sizes(&state);
         Ok(Evaluated { sizes, state, observations })
     }
 
-    /// Triangulates, then descends in rounds until the noise has settled. A `rough` adjustment holds the variance components of posture errors and arm.
+    /// Triangulates, then minimises in rounds until the noise has settled. A `rough` adjustment holds the variance
+    /// components of posture errors and arm.
     fn adjust(
         &self,
         start: &Model,
@@ -401,7 +406,7 @@ impl BundleAdjuster<'_> {
             effort.rounds += 1;
             let adjustment = self.adjustment(&observations, &priors, noise, loss, balance);
             let limit = self.options.max_iterations.min(allowed.saturating_sub(effort.wasted).max(1));
-            let minimization = adjustment.descend(state, limit)?;
+            let minimization = adjustment.minimize(state, limit)?;
             effort.iterations += minimization.iterations;
             effort.evaluations += minimization.evaluations;
             initial_cost.get_or_insert(minimization.initial_cost);
@@ -496,7 +501,8 @@ impl BundleAdjuster<'_> {
         Ok(self.posture_error_estimate(&adjustment, state)?.map_or_else(Vec::new, |estimate| estimate.far_off))
     }
 
-    /// The likelihood of the parameters about an optimum, board and posture errors eliminated; `wider`: a factor on the sigmas of the posture errors.
+    /// The likelihood of the parameters about an optimum, board and posture errors eliminated; `wider`: a factor on the
+    /// sigmas of the posture errors.
     fn likelihood(
         &self,
         adjustment: &Adjustment<'_>,
@@ -613,7 +619,8 @@ impl BundleAdjuster<'_> {
         })
     }
 
-    /// A sigma that was estimated with few degrees of freedom makes of the normal distribution one of Student's, whose covariance is wider: by this factor.
+    /// A sigma that was estimated with few degrees of freedom makes of the normal distribution one of Student's, whose
+    /// covariance is wider: by this factor.
     fn widening(&self, adjustment: &Adjustment<'_>, state: &State) -> Result<f64, CalibrationError> {
         if !self.errors.is_estimated() {
             return Ok(1.0);
@@ -732,7 +739,8 @@ fn beyond_prior(estimates: &[crate::ParameterEstimate], priors: &Priors, covaria
     estimates.iter().enumerate().filter_map(of).collect()
 }
 
-/// RMS over the observations that fit the calibrated model, so that before and after speak of the same; median over all.
+/// RMS over the observations that fit the calibrated model, so that before and after are over the same observations;
+/// median over all.
 fn over_inliers(before: &[ResidualSize], after: &[ResidualSize]) -> ReprojectionStatistics {
     let kept = before.iter().zip(after).filter(|(b, a)| a.pixel < OUTLIER_SIGMAS && b.distance_px().is_finite());
     let squares: Vec<f64> = kept.map(|(b, _)| b.residual_px.norm_squared()).collect();

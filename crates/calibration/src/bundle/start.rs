@@ -1,4 +1,5 @@
-//! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid into its corners.
+//! Where the bundle adjustment starts: pair matches read off tracks and boards, points triangulated, the board laid
+//! into its corners.
 
 use crate::bundle::observations::{Observation, Observations};
 use crate::bundle::projection_model::ProjectionModel;
@@ -13,17 +14,17 @@ use rayon::prelude::*;
 use skclam_geometry::{Isometry3, Point3};
 use skclam_rig::Rig;
 
-/// Pairs of a track that are told as matches.
+/// Pairs of a track that are added as matches.
 const PAIRS_A_TRACK: usize = 6;
 
 /// Pairs that a posture keeps.
 const PAIRS_A_POSTURE: usize = 4;
 
-/// Pair matches from tracks and board corners: of a track of k observations, up to six pairs, near ones and wide ones; of a posture, the pairs with
-/// the most matches.
+/// Pair matches from tracks and board corners: of a track of k observations, up to six pairs, near ones and wide ones;
+/// of a posture, the pairs with the most matches.
 pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches> {
     let mut by_pair: Vec<Vec<PairMatch>> = vec![Vec::new(); observations.postures * observations.postures];
-    let mut tell = |track: &[Observation]| {
+    let mut add = |track: &[Observation]| {
         let count = track.len();
         let pairs: Vec<(usize, usize)> = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b))).collect();
         for (a, b) in pairs.iter().step_by(pairs.len().div_ceil(PAIRS_A_TRACK).max(1)) {
@@ -42,8 +43,8 @@ pub(crate) fn pairs_from_tracks(observations: &Observations) -> Vec<PairMatches>
             });
         }
     };
-    (0..observations.track_count()).for_each(|track| tell(observations.track(track)));
-    observations.corner_tracks.iter().for_each(|(_, track)| tell(track));
+    (0..observations.track_count()).for_each(|track| add(observations.track(track)));
+    observations.corner_tracks.iter().for_each(|(_, track)| add(track));
     let mut kept = vec![false; by_pair.len()];
     for posture in 0..observations.postures {
         let at = |other: usize| posture.min(other) * observations.postures + posture.max(other);
@@ -110,7 +111,8 @@ fn align(corners: &[(Point3, Point3)]) -> Option<Isometry3> {
 /// Matches that the pairwise start looks at.
 const START_MATCHES: usize = 20_000;
 
-/// A model near enough for the descent, and the noise of its matches. Without enough pair matches it is the nominal one.
+/// A model near enough for the minimisation, and the noise of its matches. Without enough pair matches it is the
+/// nominal one.
 pub(crate) fn start(
     nominal: &Rig,
     data: &Correspondences,

@@ -12,7 +12,8 @@ use skclam_geometry::{Isometry3, Point3};
 #[derive(Debug, Clone)]
 pub(crate) struct State {
     pub model: Model,
-    /// Component by component, posture by posture ([`CameraKinematics::error_components`]); empty where posture errors are off.
+    /// Component by component, posture by posture ([`CameraKinematics::error_components`]); empty where posture errors
+    /// are off.
     pub posture_errors: Vec<f64>,
     /// One a track.
     pub points: Vec<Point3>,

@@ -43,7 +43,8 @@ fn recording(errors: Errors, postures: usize, points: usize, sensing: Sensing, s
     (truth, data)
 }
 
-/// Largest error of a parameter of arm and mount in its sigmas, with the standard of length exact, as it is in these recordings.
+/// Largest error of a parameter of arm and mount in its sigmas, with the standard of length exact, as it is in these
+/// recordings.
 fn largest_error_in_sigmas(result: &Calibration, truth: &Rig) -> f64 {
     let truth = Model::new(truth.clone());
     let covariance = result.covariance_without_ruler().unwrap();
@@ -208,7 +209,7 @@ fn exact_data_are_fitted_exactly() {
     assert!(camera_error(&truth, &result.model.rig, &data.postures) < 1e-8, "{}", result.termination);
     assert!(result.reprojection_after.unwrap().rms_px < 1e-4);
     assert!(result.reprojection_before.unwrap().rms_px > 1.0);
-    // With the gauge free as well the rank tells.
+    // With the gauge free as well the rank shows it.
     let (_, data) = recording(manufacture(), 20, 2500, rgbd(), 1);
     let options = BundleOptions { priors: PriorPolicy::Never, ..options };
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
@@ -223,7 +224,8 @@ fn noisy_rgbd_is_fitted_within_its_sigmas() {
     let (truth, data) = recording(manufacture(), 40, 4000, rgbd(), 2);
     let options = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..Default::default() };
     let result = calibrate_bundle(&hp3j(), &data, &options).unwrap();
-    // Lengths are no better known than the depth's scale; what no slanted surface shows of the depth camera's place stays as it was.
+    // Lengths are no better known than the depth's scale; what no slanted surface shows of the depth camera's place
+    // stays as it was.
     let silent: Vec<_> = result.parameters.iter().filter(|e| e.sigma.is_none()).map(|e| e.parameter).collect();
     let of_length = |p: &Parameter| matches!(p, Parameter::Chain(_)) && p.unit() == Unit::Metre;
     assert!(silent.iter().all(|p| p.is_nuisance() || of_length(p)), "{silent:?}");
@@ -302,7 +304,8 @@ fn forty_percent_of_wrong_observations_do_not_move_it() {
 
 #[test]
 fn repeated_texture_does_not_move_it() {
-    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the observations, 40 % of pair matches.
+    // A neighbour in a row of like things, 60 px to one side or the other, is matched instead: in 22.5 % of the
+    // observations, 40 % of pair matches.
     let (truth, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
     for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
@@ -318,7 +321,7 @@ fn repeated_texture_does_not_move_it() {
 
 #[test]
 fn a_thing_that_moved_does_not_move_it() {
-    // A fifth of the points stands 80 mm further from the tenth posture on.
+    // A fifth of the points is 80 mm further from the tenth posture on.
     let mut rng = seeded(19);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let postures = diverse_postures(&hp3j(), 30, &mut rng);
@@ -397,8 +400,9 @@ fn a_displaced_camera_does_not_hide_a_wrong_posture() {
 }
 
 #[test]
-fn matches_that_contradict_each_other_are_told() {
-    // Every other observation sees the like thing 60 px to the right, consistently: nobody can tell which of the two worlds is the right one.
+fn matches_that_contradict_each_other_are_reported() {
+    // Every other observation sees the like thing 60 px to the right, consistently: which of the two worlds is the
+    // right one is not identifiable.
     let (_, mut data) = recording(manufacture(), 30, 6000, Sensing { keypoints: 900, ..rgbd() }, 18);
     let mut rng = seeded(180);
     for observation in data.tracks.iter_mut().flat_map(|track| &mut track.observations) {
@@ -407,14 +411,14 @@ fn matches_that_contradict_each_other_are_told() {
         }
     }
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
-    let told = |result: &Calibration| {
+    let warned = |result: &Calibration| {
         result.warnings.iter().any(|w| matches!(w, Warning::LargeResiduals { sigma } if *sigma > 5.0))
     };
-    assert!(told(&result), "{:?} {:?}", result.noise, result.warnings);
+    assert!(warned(&result), "{:?} {:?}", result.noise, result.warnings);
     // What is right is not accused.
     let (_, data) = recording(manufacture(), 20, 3000, rgbd(), 18);
     let result = calibrate_bundle(&hp3j(), &data, &BundleOptions::default()).unwrap();
-    assert!(!told(&result), "{:?} {:?}", result.noise, result.warnings);
+    assert!(!warned(&result), "{:?} {:?}", result.noise, result.warnings);
 }
 
 #[test]
@@ -444,7 +448,7 @@ fn a_board_alone_gives_the_arm_its_scale() {
 }
 
 #[test]
-fn corners_and_tracks_tell_their_own_noise() {
+fn corners_and_tracks_have_their_own_noise() {
     let mut rng = seeded(13);
     let truth = perturbed(&hp3j(), &Free::Auto, manufacture(), &mut rng);
     let base_from_board = Isometry3::new(Vector3::new(0.6, -0.08, 0.0), Vector3::new(0.0, 0.0, 0.3));
@@ -453,7 +457,7 @@ fn corners_and_tracks_tell_their_own_noise() {
     let seen: Vec<_> = seen.into_iter().take(24).collect();
     let postures: Vec<_> = seen.iter().map(|observation| drawn[observation.posture].clone()).collect();
     let mut data = record(&truth, &postures, &box_points(4000, &mut rng), half_pixel(), &mut rng);
-    // Told as if corners were as uncertain as tracks; ten times better is what they are.
+    // Stated as if corners were as uncertain as tracks; ten times better is what they are.
     data.boards = seen.into_iter().enumerate().map(|(posture, o)| crate::BoardObservation { posture, ..o }).collect();
     let mut nominal = hp3j();
     nominal.board = Some(board);

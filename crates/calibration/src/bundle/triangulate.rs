@@ -5,7 +5,7 @@ use crate::bundle::projection_model::ProjectionModel;
 use nalgebra::{Matrix3, Vector3};
 use skclam_geometry::Point3;
 
-/// Rays that meet at less than this angle say nothing about depth, rad (0.15 deg).
+/// Rays that meet at less than this angle carry no information about depth, rad (0.15 deg).
 const SMALLEST_PARALLAX: f64 = 2.6e-3;
 /// Pairs of rays from which a point is guessed where all rays together do not fit.
 const MAX_GUESSES: usize = 21;
@@ -16,8 +16,8 @@ const FITS_SIGMAS: f64 = 4.5;
 type Ray = (Point3, Vector3<f64>);
 
 impl ProjectionModel<'_> {
-    /// A point for a track; `None` where the rays do not meet in front of the cameras, or at too small an angle. `known` is
-    /// one more guess, and a good one.
+    /// A point for a track; `None` where the rays do not meet in front of the cameras, or at too small an angle.
+    /// `known` is one more guess, and a good one.
     pub(crate) fn triangulate(&self, track: &[Observation], known: Option<&Point3>) -> Option<Point3> {
         let rays: Vec<Ray> = track
             .iter()

@@ -65,7 +65,7 @@ impl Unknowns<'_> {
         })
     }
 
-    /// Normal matrix and descent direction by the unknowns.
+    /// Normal matrix and right-hand side by the unknowns.
     pub(crate) fn assemble(&self, system: &PoseSystem, columns: &Columns) -> (DMatrix<f64>, DVector<f64>) {
         let (count, parameters) = (self.count(), self.parameters.len());
         let mut normal = DMatrix::zeros(count, count);

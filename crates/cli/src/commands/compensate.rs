@@ -16,7 +16,7 @@ pub struct CompensateArgs {
     /// Targets: CSV with q1_deg ... (joints for the nominal arm) or x_mm, y_mm, z_mm, qx, qy, qz, qw (flange in base).
     #[arg(value_hint = ValueHint::FilePath)]
     pub targets: PathBuf,
-    /// The rig that the controller believes in.
+    /// The rig that the controller uses.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath)]
     pub nominal: PathBuf,
     /// The calibrated rig.
@@ -58,11 +58,11 @@ pub fn compensate(cli: &Cli, args: &CompensateArgs) -> Result<()> {
     }
     staged.write(write_compensated(&table, &answers, &nominal))?;
     staged.publish()?;
-    let told: Vec<String> = unreachable
+    let warnings: Vec<String> = unreachable
         .iter()
         .map(|(line, problem)| format!("{}, line {line}: no command: {problem}", args.targets.display()))
         .collect();
-    screen::warn_of(cli.quiet, &told, &format!("the column \"status\" of {}", args.out.display()));
+    screen::warn_of(cli.quiet, &warnings, &format!("the column \"status\" of {}", args.out.display()));
     let mean = misses.iter().sum::<f64>() / misses.len() as f64;
     let largest = misses.iter().copied().fold(0.0, f64::max);
     if cli.json {

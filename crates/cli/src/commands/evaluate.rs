@@ -91,7 +91,7 @@ pub fn show(evaluation: &Evaluation) {
     }
     say!("{table}");
     say!(
-        "{} postures. The base's gauge: a turn about and a shift along axis 1, which no image can tell.",
+        "{} postures. The base's gauge: a rotation about and a shift along axis 1, not identifiable from images.",
         evaluation.postures
     );
 }

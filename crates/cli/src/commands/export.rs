@@ -29,7 +29,8 @@ pub struct ExportArgs {
     /// The data set that was calibrated.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub dataset: Option<PathBuf>,
-    /// Write result.mcap too, for Foxglove and Rerun: images, frames, trajectories, maps, residuals, nominal and calibrated.
+    /// Write result.mcap too, for Foxglove and Rerun: images, frames, trajectories, maps, residuals, nominal and
+    /// calibrated.
     #[arg(long, requires = "dataset")]
     pub mcap: bool,
     /// Leave the residuals out of result.mcap; otherwise the images are matched once more, as in the run.
@@ -164,7 +165,7 @@ fn urdf_source(path: &Path, args: &ExportArgs) -> Result<UrdfSource> {
     };
     let base_link = choose("--base-link", &args.base_link, bases)?;
     let tip_link = choose("--tip-link", &args.tip_link, tips)?;
-    // Links that are not there are told with the file's name.
+    // Links that are not there are reported with the file's name.
     chain_from_urdf(&text, &base_link, &tip_link).with_context(|| shown.to_string())?;
     Ok(UrdfSource { text, base_link, tip_link })
 }

@@ -22,7 +22,7 @@ pub struct ImportArgs {
     /// Folder for the data set; made if it is not there.
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
-    /// Rig file with the arm and the mount; its cameras stand where the recording has no CameraInfo.
+    /// Rig file with the arm and the mount; its cameras are used where the recording has no CameraInfo.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot")]
     pub rig: Option<PathBuf>,
     /// A built-in robot by name (ur5e, franka-fr3, ...): its mount is a guess that you should replace.
@@ -49,7 +49,8 @@ pub struct ImportArgs {
     /// Keep the intrinsics of --rig even where the recording has its own.
     #[arg(long)]
     pub rig_cameras: bool,
-    /// Take images of the moving arm, with interpolated joints; without it, one image each time that the arm stands still.
+    /// Take images of the moving arm, with interpolated joints; without it, one image each time that the arm stands
+    /// still.
     #[arg(long)]
     pub moving: bool,
     /// With --moving: every N-th image.
@@ -58,7 +59,8 @@ pub struct ImportArgs {
     /// Take every image that has joints beside it: for recordings that were made posture by posture.
     #[arg(long, conflicts_with = "moving")]
     pub snapshots: bool,
-    /// The arm stands still while every joint is slower than this, deg/s (mm/s for sliding joints: 17 times the number).
+    /// The arm stands still while every joint is slower than this, deg/s (mm/s for sliding joints: 17 times the
+    /// number).
     #[arg(long, value_name = "DEG_PER_S", default_value_t = 0.3)]
     pub still_below: f64,
     /// ... for at least so long, seconds.

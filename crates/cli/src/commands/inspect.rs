@@ -24,7 +24,7 @@ pub struct InspectArgs {
     pub free: String,
 }
 
-/// Tells what a recording holds, or judges a data set.
+/// Summarises a recording, or judges a data set.
 pub fn inspect(cli: &Cli, args: &InspectArgs) -> Result<()> {
     if args.path.join("postures.csv").is_file() {
         let dataset = Dataset::open(&args.path)?;
@@ -188,7 +188,7 @@ fn show_dataset(cli: &Cli, inspection: &Inspection) {
     }
     say!("{table}");
     say!(
-        "{} postures, {} pairs that should see the same, {} connected group(s)",
+        "{} postures, {} pairs with predicted overlap, {} connected group(s)",
         inspection.postures,
         inspection.pairs.len(),
         inspection.groups.len()
@@ -214,7 +214,7 @@ fn show_expected(expected: &ExpectedSigmas) {
     }
     say!("{table}");
     if expected.parameters.iter().any(|parameter| parameter.sigma.is_none()) {
-        say!("-: these postures say next to nothing of it; it keeps its tolerance");
+        say!("-: hardly determined by these postures; it keeps its tolerance");
     }
     say!(
         "camera over the postures: expected sigma {:.3} mm and {:.4} deg in the mean, {:.3} mm and {:.4} deg at most",
@@ -231,8 +231,8 @@ fn show_expected(expected: &ExpectedSigmas) {
     };
     say!("predicted for {observations} with {} px{depth} of noise", expected.pixel_sigma);
     say!(
-        "{} of {} combinations of parameters can be told to half of their tolerance or better",
-        expected.told,
+        "{} of {} combinations of parameters can be determined to half of their tolerance or better",
+        expected.identifiable,
         expected.free
     );
 }
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn types_stand_beside_what_is_known_of_a_topic() {
+    fn types_are_listed_beside_what_is_known_of_a_topic() {
         let described = described(&topic("/camera/color/image_raw/compressed", 1, 0.0));
         assert_eq!(
             described,

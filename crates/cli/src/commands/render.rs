@@ -12,7 +12,7 @@ use skclam::output::StagedFile;
 use std::io::{BufReader, Cursor};
 use std::path::Path;
 
-/// Pixels between two pictures.
+/// Pixels between two images.
 const GAP: u32 = 12;
 
 /// Draws a map, or two from the same place.
@@ -20,7 +20,7 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     let options = RenderOptions { point_radius_m: args.point_radius_mm * 1e-3, ..RenderOptions::default() };
     let ending = args.out.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     if !["png", "jpg", "jpeg"].contains(&ending.as_str()) {
-        bail!("--out {}: pictures are written as PNG or JPEG; end the name in .png or .jpg", args.out.display());
+        bail!("--out {}: images are written as PNG or JPEG; end the name in .png or .jpg", args.out.display());
     }
     let staged = StagedFile::new(&args.out)?;
     let model = read(&args.map)?;
@@ -36,8 +36,8 @@ pub fn render(cli: &Cli, args: &RenderArgs) -> Result<()> {
     staged.write(bytes.into_inner())?;
     staged.publish()?;
     if cli.json {
-        let told = serde_json::json!({ "picture": args.out, "width": image.width(), "height": image.height() });
-        screen::json(&told)?;
+        let written = serde_json::json!({ "image": args.out, "width": image.width(), "height": image.height() });
+        screen::json(&written)?;
     } else {
         say!("{} x {}: {}", image.width(), image.height(), args.out.display());
     }

@@ -55,7 +55,7 @@ pub fn report(cli: &Cli, args: &ReportArgs) -> Result<()> {
 /// Puts results side by side.
 pub fn compare(cli: &Cli, args: &CompareArgs) -> Result<()> {
     let runs = args.results.iter().map(RunResult::read).collect::<Result<Vec<_>, _>>()?;
-    // What a run held stands in its rig; a result without one is compared all the same.
+    // What a run held fixed is in its rig; a result without one is compared all the same.
     let rig = |folder: &PathBuf| {
         let path = folder.join("rig.toml");
         path.exists().then(|| Rig::read(path)).transpose()

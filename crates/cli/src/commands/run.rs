@@ -28,8 +28,8 @@ pub fn filter_self(dataset: &mut Dataset, args: &SelfFilterArgs, quiet: bool) ->
     let options =
         SelfFilterOptions { base_link: args.self_filter_base.clone(), margin_m: args.self_filter_margin_mm * 1e-3 };
     let filter = SelfFilter::read(urdf, &dataset.rig, options)?;
-    let told: Vec<String> = filter.left_out().iter().map(|link| format!("self filter without {link}")).collect();
-    screen::warn(quiet, &told);
+    let warnings: Vec<String> = filter.left_out().iter().map(|link| format!("self filter without {link}")).collect();
+    screen::warn(quiet, &warnings);
     dataset.self_filter = Some(filter);
     Ok(())
 }
@@ -63,7 +63,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     outcome.summary.warnings.extend(found.map(|found| {
         format!(
             "the nominal mount was found from {} matches in {} pairs of images ({:.2} px from their epipolar lines in the median); \
-             the rig's own stood {:.0} mm and {:.1} deg off",
+             the rig's own was {:.0} mm and {:.1} deg off",
             found.matches, found.pairs, found.median_sampson_px, found.shifted_by_mm, found.turned_by_deg
         )
     }));
@@ -82,7 +82,7 @@ pub fn run(cli: &Cli, args: &RunArgs, extent: Extent) -> Result<()> {
     Ok(())
 }
 
-/// An estimator that failed speaks of matrices; where the data have a slip that explains it, that is said first.
+/// The error of a failed estimator is about matrices; where the data have a slip that explains it, that is said first.
 fn with_cause(dataset: &Dataset, error: RunError) -> anyhow::Error {
     let of_the_data = matches!(error, RunError::Calibration(_) | RunError::Features(_));
     match of_the_data.then(|| likely_cause(dataset)).flatten() {
@@ -151,8 +151,8 @@ pub fn show(summary: &Summary) {
         let (before, after) = (&calibration.epipolar_before, &calibration.epipolar_after);
         for (name, before, after) in [
             ("error function, Eq. (7)", before.error_function, after.error_function),
-            ("point-line distance, RMS", before.rms_px, after.rms_px),
-            ("point-line distance, median", before.median_px, after.median_px),
+            ("epipolar distance, RMS", before.rms_px, after.rms_px),
+            ("epipolar distance, median", before.median_px, after.median_px),
         ] {
             table.add_row([name.to_owned(), format!("{before:.3}"), format!("{after:.3}")]);
         }
@@ -177,11 +177,12 @@ pub fn show(summary: &Summary) {
             table.add_row(["  the same with the mount alone".to_owned(), String::new(), format!("{mount_only:.3}")]);
         }
     }
-    if let Some((before, after)) = summary.map.and_then(|map| Some((map.agreement_nominal?, map.agreement_calibrated?)))
+    if let Some((before, after)) =
+        summary.map.and_then(|map| Some((map.depth_consistency_nominal?, map.depth_consistency_calibrated?)))
     {
         let mm = |value: f64| format!("{value:.2} mm");
-        table.add_row(["depth images apart, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
-        table.add_row(["depth images apart, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
+        table.add_row(["depth consistency, median".to_owned(), mm(before.median_mm), mm(after.median_mm)]);
+        table.add_row(["depth consistency, 90 %".to_owned(), mm(before.p90_mm), mm(after.p90_mm)]);
     }
     let board_rms = |of: fn(&BoardSummary) -> Option<f64>| {
         summary.board.as_ref().and_then(of).map_or("-".to_owned(), |rms| format!("{rms:.3}"))
@@ -216,9 +217,9 @@ pub fn show(summary: &Summary) {
     }
     say!("Solver {}; {} iterations", calibration.ended, calibration.termination.iterations);
     if let Some(rank) = calibration.rank {
-        say!("{rank} of {} free parameters are seen by the data", calibration.free);
+        say!("{rank} of {} free parameters are identifiable", calibration.free);
         if calibration.arm && matches!(summary.configuration.free, Free::Auto | Free::With(..)) {
-            say!("Held, as no image tells: base about and along axis 1; flange about and along the last");
+            say!("Held, not identifiable: base about and along axis 1; flange about and along the last");
         }
     }
     for reason in &calibration.not_identifiable {
@@ -250,7 +251,7 @@ pub fn coverage_line(coverage: &MapCoverage) -> String {
         parts.push(format!("border open {}", percent(fraction)));
     }
     parts.push(format!("no depth {}", percent(coverage.depth_without_value)));
-    format!("Seen: {}", parts.join("; "))
+    format!("Observed: {}", parts.join("; "))
 }
 
 /// What is known of flange and camera.

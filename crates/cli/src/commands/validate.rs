@@ -42,9 +42,9 @@ pub struct ValidateArgs {
     /// The rig to compare with on --points: a rig file or a result folder; by default that of DATASET.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::AnyPath, requires = "points")]
     pub nominal: Option<PathBuf>,
-    /// Exit with 1 where the rig's status is this or worse. By images: bad is no better than the data set's own rig, caution
-    /// better without explaining the recording. By --points: bad is worse than the rig to compare with by more than two
-    /// standard errors, caution not distinguishable from it.
+    /// Exit with 1 where the rig's status is this or worse. By images: bad is no better than the data set's own rig,
+    /// caution better without explaining the recording. By --points: bad is worse than the rig to compare with by more
+    /// than two standard errors, caution not distinguishable from it.
     #[arg(long, value_enum, value_name = "STATUS")]
     pub fail_on: Option<FailOnArg>,
     /// Seed of every random choice.
@@ -129,12 +129,12 @@ fn show(validation: &Validation) {
     }
     let (before, after) = (&validation.epipolar.nominal, &validation.epipolar.calibrated);
     if after.matches > 0 {
-        row("point-line distance, RMS", before.rms_px, after.rms_px, "px");
-        row("point-line distance, median", before.median_px, after.median_px, "px");
+        row("epipolar distance, RMS", before.rms_px, after.rms_px, "px");
+        row("epipolar distance, median", before.median_px, after.median_px, "px");
     }
-    if let Some(agreement) = &validation.depth_agreement {
-        row("depth images apart, median", agreement.nominal.median_mm, agreement.calibrated.median_mm, "mm");
-        row("depth images apart, 90 %", agreement.nominal.p90_mm, agreement.calibrated.p90_mm, "mm");
+    if let Some(consistency) = &validation.depth_consistency {
+        row("depth consistency, median", consistency.nominal.median_mm, consistency.calibrated.median_mm, "mm");
+        row("depth consistency, 90 %", consistency.nominal.p90_mm, consistency.calibrated.p90_mm, "mm");
     }
     say!("{table}\n");
     say!(

@@ -52,7 +52,7 @@ pub fn sentence(validation: &PointsValidation) -> String {
     };
     let Some(error) = comparison.standard_error_mm else {
         return format!(
-            "Too few groups of points ({}) to tell the rig from the nominal one: {rms_mm:.3} mm (RMS), \
+            "Too few groups of points ({}) to distinguish the rig from the nominal one: {rms_mm:.3} mm (RMS), \
              the nominal rig {:.3} mm.",
             validation.clusters, nominal.rms_mm
         );
@@ -92,7 +92,7 @@ fn counts(validation: &PointsValidation) -> String {
     )
 }
 
-/// What a person should hear of.
+/// What a user should know.
 pub fn warnings(validation: &PointsValidation) -> Vec<String> {
     let mut warnings = Vec::new();
     let tested = &validation.tested;

@@ -1,7 +1,9 @@
-//! What a run claims when the depth camera's scale is wrong: the shared virtual cell as it is, and with its depth scaled.
+//! What a run claims when the depth camera's scale is wrong: the shared virtual cell as it is, and with its depth
+//! scaled.
 //!
-//! `cargo run --release -p skclam-experiments -- boards-and-ruler [DATASET] [--scales 1,1.005]`, by default `../shared/data/virtual-cell` (or the folder
-//! of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`. The depth images are scaled by the unit of their counts.
+//! `cargo run --release -p skclam-experiments -- boards-and-ruler [DATASET] [--scales 1,1.005]`, by default
+//! `../shared/data/virtual-cell` (or the folder of that name in `SKCLAM_DATA`). The dataset brings `truth/rig.toml`.
+//! The depth images are scaled by the unit of their counts.
 
 use crate::cells::Cell;
 use crate::measured::{measure, run_default};

@@ -1,8 +1,9 @@
-//! Flange poses of a controller whose arm is wrong: is the mount found by default as well as by `--free mount`, and is its sigma honest?
+//! Flange poses of a controller whose arm is wrong: is the mount found by default as well as by `--free mount`, and is
+//! its sigma right?
 //!
-//! `cargo run --release -p skclam-experiments -- flange-poses [--cells N]`. Images are taken by a perturbed arm; `postures.csv` holds the *nominal*
-//! arm's flange poses. Two truths stand side by side: the mount of the true arm, and the one that fits the true camera poses best to the controller's flange poses,
-//! which no method can beat.
+//! `cargo run --release -p skclam-experiments -- flange-poses [--cells N]`. Images are taken by a perturbed arm;
+//! `postures.csv` holds the *nominal* arm's flange poses. Two truths are compared: the mount of the true arm, and the
+//! one that fits the true camera poses best to the controller's flange poses, which no method can beat.
 
 use crate::cells::{Cell, CellOptions};
 use crate::measured::shown;
@@ -29,7 +30,8 @@ pub struct Arguments {
     /// Seed of the first cell; the others follow.
     #[arg(long, default_value_t = 101)]
     seed: u64,
-    /// Scale of the colour image: 1 is 1920x1080. By default as `whole_pipeline` draws it, so that both share their cells.
+    /// Scale of the colour image: 1 is 1920x1080. By default as `whole_pipeline` draws it, so that both share their
+    /// cells.
     #[arg(long)]
     scale: Option<f64>,
     /// Postures of a cell.
@@ -116,7 +118,7 @@ fn both(cell: &Cell, no_depth: bool) -> Result<(Isometry3<f64>, Judged, Judged)>
     Ok((best, judged(Free::Auto)?, judged(Free::parse("mount", &dataset.rig)?)?))
 }
 
-/// The recording with what the controller, which believes in the nominal arm, says of the flange.
+/// The recording with what the controller, which uses the nominal arm, says of the flange.
 fn controllers_view(cell: &Cell, no_depth: bool) -> Result<Dataset> {
     let mut dataset = cell.dataset.clone();
     for record in &mut dataset.records {
@@ -132,7 +134,8 @@ fn controllers_view(cell: &Cell, no_depth: bool) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// Mean translation, and the rotation with the least sum of squared angles (a few rounds of averaging in the tangent space).
+/// Mean translation, and the rotation with the least sum of squared angles (a few rounds of averaging in the tangent
+/// space).
 fn average(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
     let count = poses.len() as f64;
     let center: Vector3<f64> = poses.iter().map(|pose| pose.translation.vector).sum::<Vector3<f64>>() / count;

@@ -1,7 +1,7 @@
 //! What a run claims and which cause it names when one assumption is wrong, row by row.
 //!
-//! `cargo run --release -p skclam-experiments -- misspecification [--seed N] [--scale F] [--only ROW]`. The cell is rendered once and kept under
-//! `--work`; each row's data set stays there, for `skclam run` by hand.
+//! `cargo run --release -p skclam-experiments -- misspecification [--seed N] [--scale F] [--only ROW]`. The cell is
+//! rendered once and kept under `--work`; each row's data set stays there, for `skclam run` by hand.
 
 use crate::cells::{Cell, CellOptions};
 use crate::limited::run_again;

@@ -1,7 +1,8 @@
 //! A real arm judged by an optical tracker, and by a second day.
 //!
-//! `cargo run --release -p skclam-experiments -- real-arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in `../shared/data` (or in `SKCLAM_DATA`).
-//! The tracker's points are those of `nachi-mz25/tracker.csv` for both days: it is one arm.
+//! `cargo run --release -p skclam-experiments -- real-arm`. Reads `nachi-mz25` and `nachi-mz25-second-day` in
+//! `../shared/data` (or in `SKCLAM_DATA`). The tracker's points are those of `nachi-mz25/tracker.csv` for both days: it
+//! is one arm.
 
 use crate::measured::{claimed, shown};
 use crate::two_days::disagreement;
@@ -39,8 +40,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let shared = std::env::var_os("SKCLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let folders: Vec<PathBuf> = arguments.datasets.iter().map(|name| shared.join(name)).collect();
     let points = MarkerPoints::read(folders[0].join("tracker.csv"))?;
-    let stood = |(at, joints): (usize, &Vec<f64>)| Posture::new(at as u64, PostureState::Joints(joints.clone()));
-    let postures: Vec<Posture> = points.points.iter().map(|point| &point.joints).enumerate().map(stood).collect();
+    let posture_of = |(at, joints): (usize, &Vec<f64>)| Posture::new(at as u64, PostureState::Joints(joints.clone()));
+    let postures: Vec<Posture> = points.points.iter().map(|point| &point.joints).enumerate().map(posture_of).collect();
     println!(
         "| recording | tracker RMS mm: nominal | calibrated | first sentence mm | calibrated / first sentence | claimed at the tracker's points mm \
          | held-out px: nominal | mount alone | calibrated | status | CPU s |"

@@ -1,8 +1,9 @@
 //! Whether sigmas hold on random virtual cells with images, the whole pipeline between.
 //!
-//! `cargo run --release -p skclam-experiments -- whole-pipeline [--cells N]`. Scene, arm, mount, postures, noise and image size are drawn from each
-//! cell's seed; cells are kept under `--work`. NEES is taken over the combinations of free parameters that move cameras, with the run's covariance, after the
-//! base's gauge; "camera" is over the recorded postures.
+//! `cargo run --release -p skclam-experiments -- whole-pipeline [--cells N]`. Scene, arm, mount, postures, noise and
+//! image size are drawn from each cell's seed; cells are kept under `--work`. NEES is taken over the combinations of
+//! free parameters that move cameras, with the run's covariance, after the base's gauge; "camera" is over the recorded
+//! postures.
 
 use crate::cells::{Cell, CellOptions};
 use crate::gauge::{Nees, ParameterScore, Score};
@@ -36,7 +37,8 @@ pub struct Arguments {
     /// Folder for cells.
     #[arg(long, default_value = "out/experiments", value_name = "DIR")]
     work: PathBuf,
-    /// Draws the nominal rig's cameras within what such devices are known for, from each cell's seed; by default they are exact.
+    /// Draws the nominal rig's cameras within what such devices are known for, from each cell's seed; by default they
+    /// are exact.
     #[arg(long)]
     instrument_errors: bool,
     /// Runs these data sets with a truth instead of random cells.

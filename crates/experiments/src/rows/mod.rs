@@ -1,7 +1,8 @@
 //! The rows of `misspecification`: one recording of a virtual cell, and what is made wrong in it.
 //!
-//! Images stay as they were rendered; rig, postures and depth images around them are changed, so that one rendering serves all rows. Where an arm or a
-//! camera behaves otherwise (sag, gears, a slip), the joint values are changed so that such an arm would have taken these very images.
+//! Images stay as they were rendered; rig, postures and depth images around them are changed, so that one rendering
+//! serves all rows. Where an arm or a camera behaves otherwise (sag, gears, a slip), the joint values are changed so
+//! that such an arm would have taken these very images.
 
 mod depths;
 mod postures;
@@ -84,7 +85,8 @@ impl Variant {
     }
 }
 
-/// An image of the cell under its name in the new folder, without a copy where the file system can: a data set names no files outside of it.
+/// An image of the cell under its name in the new folder, without a copy where the file system can: a data set names no
+/// files outside of it.
 fn same_image(cell: &Cell, file: &Path, staged: &StagedFolder) -> Result<()> {
     let (from, to) = (cell.dataset.folder.join(file), staged.path(file)?);
     if !to.exists() && std::fs::hard_link(&from, &to).is_err() {

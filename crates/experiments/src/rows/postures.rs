@@ -84,7 +84,8 @@ fn reversed(cell: &Cell) -> Result<Variant> {
     })
 }
 
-/// The images of an arm whose encoders would have said other values: the table holds these, and a right answer is given them too.
+/// The images of an arm whose encoders would have said other values: the table holds these, and a right answer is given
+/// them too.
 fn behaving_otherwise(cell: &Cell, said: impl Fn(&[f64]) -> Result<Vec<f64>>) -> Result<Variant> {
     let mut variant = Variant::unchanged(cell, POSTURES)?;
     for (record, posture) in variant.records.iter_mut().zip(&mut variant.truth.postures) {
@@ -110,7 +111,7 @@ fn sagging(cell: &Cell) -> Result<Variant> {
     behaving_otherwise(cell, |values| Ok(corrections.encoder_values(arm, values)?))
 }
 
-/// Every joint stands `0.1 deg sin(2 q)` beyond its encoder, in turns to either side.
+/// Every joint is `0.1 deg sin(2 q)` beyond its encoder, alternately to either side.
 fn geared(cell: &Cell) -> Result<Variant> {
     const DEGREES: f64 = 0.1;
     let beyond = |joint: usize, q: f64| {
@@ -123,8 +124,8 @@ fn geared(cell: &Cell) -> Result<Variant> {
     })
 }
 
-/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that stood a little otherwise would have
-/// taken the same images. Postures at which there is no such arm are left out.
+/// From the middle of the recording on the camera is turned by 0.2 deg in its holder: an arm that was a little
+/// elsewhere would have taken the same images. Postures at which there is no such arm are left out.
 fn slipped(cell: &Cell) -> Result<Variant> {
     const DEGREES: f64 = 0.2;
     let whole = Variant::unchanged(cell, POSTURES)?;
@@ -148,7 +149,7 @@ fn slipped(cell: &Cell) -> Result<Variant> {
         variant.truth.cameras.push(*camera);
         variant.records.push(record);
     }
-    ensure!(variant.records.len() > POSTURES * 3 / 4, "too many postures stand in singular places");
+    ensure!(variant.records.len() > POSTURES * 3 / 4, "too many postures are singular");
     Ok(variant)
 }
 

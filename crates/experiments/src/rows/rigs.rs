@@ -44,7 +44,7 @@ fn turned_mount(cell: &Cell) -> Result<Variant> {
     with_rig(cell, |rig| rig.flange_from_color *= quarter)
 }
 
-/// Every length of the nominal arm that is not zero is 10 to 20 mm off, in turns to either side.
+/// Every length of the nominal arm that is not zero is 10 to 20 mm off, alternately to either side.
 fn other_lengths(cell: &Cell) -> Result<Variant> {
     let mut variant = Variant::unchanged(cell, POSTURES)?;
     let robot = variant.rig.robot.as_mut().context("a cell has an arm")?;

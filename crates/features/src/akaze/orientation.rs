@@ -4,10 +4,10 @@
 //! 2.5 steps; a window slides around the circle of their directions, and the window with the longest vector sum gives
 //! the direction. Directions are counted in 42 slices.
 //!
-//! The window of the reference is 7 slices (60 degrees) with hard ends. Here it is a raised cosine that falls to zero at
-//! 10 slices (86 degrees) on either side: a gradient that turns out of the window loses its weight gradually. On natural
-//! images that were enlarged by 1.1 the median error of the direction fell from 1.8 to 0.9 degrees, directions off by
-//! more than 20 degrees from 8.0 to 5.5 %, and there were 9 % more correct matches.
+//! The window of the reference is 7 slices (60 degrees) with hard ends. Here it is a raised cosine that falls to zero
+//! at 10 slices (86 degrees) on either side: a gradient that turns out of the window loses its weight gradually. On
+//! natural images that were enlarged by 1.1 the median error of the direction fell from 1.8 to 0.9 degrees, directions
+//! off by more than 20 degrees from 8.0 to 5.5 %, and there were 9 % more correct matches.
 
 use multiversion::multiversion;
 use std::f32::consts::{PI, TAU};

@@ -61,7 +61,7 @@ impl PeakFit {
             hyy += y2 * f;
         }
         match stationary([gx, gy], [hxx, hxy, hyy]) {
-            // Not farther than the level's border has room for: the descriptor's square must stay inside.
+            // Not farther than the level's border allows: the descriptor's square must stay inside.
             Some(o) if hxx < 0.0 && hxx * hyy > hxy * hxy && o[0].hypot(o[1]) <= 0.7 * r as f32 + 0.5 => Some(o),
             _ => Some(near),
         }

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn small_images_have_fewer_octaves_whichever_way_they_stand() {
+    fn small_images_have_fewer_octaves_in_either_orientation() {
         let options = AkazeOptions::default();
         assert_eq!(levels(1, 1, &options).len(), 4);
         for (w, h) in [(640, 120), (200, 90), (79, 300)] {

@@ -88,7 +88,7 @@ impl LevelMaxima {
     }
 }
 
-/// Lets the maxima of two neighbouring levels suppress_between.
+/// Non-maximum suppression between two neighbouring levels.
 pub(crate) fn suppress_between(lower: &mut LevelMaxima, low: &Level, upper: &mut LevelMaxima, up: &Level) {
     let reach = up.step as f32;
     for (p, beaten) in lower.kept.points.iter().zip(&mut lower.beaten_from_above) {
@@ -126,7 +126,7 @@ mod tests {
     fn the_strongest_of_a_neighbourhood_stays() {
         let levels = levels(200, 200, &AkazeOptions::default());
         let mut maxima = LevelMaxima::default();
-        // A chain: 3 beats 2, and 1 stands far enough from 3.
+        // A chain: 3 beats 2, and 1 is far enough from 3.
         let chain = [candidate(50, 50, 1.0), candidate(52, 50, 2.0), candidate(54, 50, 3.0)];
         maxima.fill(&rows(&chain, &levels[0]), &levels[0]);
         assert_eq!(maxima.kept.points.iter().map(|p| p.response).collect::<Vec<_>>(), [1.0, 3.0]);

@@ -18,7 +18,7 @@ pub struct BoardOptions {
     pub smoothing_px: f64,
     /// How often the image is halved at most; strongly blurred boards are found in small images.
     pub levels: u32,
-    /// A board with fewer corners in view is not told.
+    /// A board with fewer corners in view is not reported.
     pub min_corners: usize,
     /// Half the window within which a corner's print is aligned with the image, in sides of a square.
     pub window: f64,
@@ -140,8 +140,8 @@ impl Search<'_> {
         }
     }
 
-    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only, under one
-    /// of the ways in which it may begin.
+    /// Makes a grid the best board, if it is one, and a larger one. A clipped grid holds corners of the board only,
+    /// under one of its possible beginnings.
     fn judge(&self, grid: &Grid, is_clipped: bool, best: &mut Option<FoundBoard>) {
         let larger = |count: usize| best.as_ref().is_none_or(|other| other.corners.len() < count);
         if grid.corners.len() < self.options.min_corners || !larger(grid.corners.len()) {
@@ -168,7 +168,7 @@ impl Search<'_> {
     /// The grid's corners, refined, with the sigma that the image's noise gives them, and their squares' widths; those
     /// that cannot be are left out.
     fn refined(&self, grid: &Grid, labelling: &Labelling) -> Vec<(GridCorner, f64)> {
-        // Where a grid can be counted in several ways, the print about its corners is the same in all.
+        // Where a grid can be labelled in several ways, the print about its corners is the same in all.
         let print = Print::new(self.layout, grid, labelling, self.options);
         let refine = |&(row, column): &(i32, i32)| {
             let step_px = f64::from(grid.step(row, column)?);

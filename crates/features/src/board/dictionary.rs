@@ -1,9 +1,10 @@
 //! ArUco's dictionaries: which bits make which marker.
 //!
 //! What a marker shows is a fact that printed boards fix: the patterns are those of OpenCV's predefined dictionaries
-//! (`cv::aruco::PredefinedDictionaryType`), all but the rare and long AprilTag 36h10 (Garrido-Jurado et al., "Automatic generation and detection of
-//! highly reliable fiducial markers under occlusion", 2014; the AprilTags are Olson's and Wang's). The names are OpenCV's too.
-//! The tables in `dictionaries/` hold a marker a line: its inner bits row by row as a hexadecimal number, the first bit foremost, white = 1.
+//! (`cv::aruco::PredefinedDictionaryType`), all but the rare and long AprilTag 36h10 (Garrido-Jurado et al., "Automatic
+//! generation and detection of highly reliable fiducial markers under occlusion", 2014; the AprilTags are Olson's and
+//! Wang's). The names are OpenCV's too. The tables in `dictionaries/` hold a marker a line: its inner bits row by row
+//! as a hexadecimal number, the first bit foremost, white = 1.
 
 use crate::FeaturesError;
 
@@ -49,7 +50,7 @@ const ENTRIES: [Entry; 21] = [
     ("DICT_ARUCO_MIP_36h12", 6, 250, 12, include_str!("dictionaries/aruco_mip_36h12.txt")),
 ];
 
-/// Wrong bits that are forgiven at most: the board's grid vouches for its markers, but not for any.
+/// Wrong bits that are forgiven at most: the board's grid supports its markers, but not any.
 const FORGIVEN: u32 = 3;
 
 impl Dictionary {
@@ -95,8 +96,9 @@ impl Dictionary {
         self.codes.get(id).filter(|_| inside).map(|code| code >> shift & 1 == 1)
     }
 
-    /// The marker among the first `count` that fits `bits` (row by row, first foremost, white = 1), and by how many quarter turns clockwise the marker
-    /// must be turned to look like `bits`. `None` where none fits, or two fit as well.
+    /// The marker among the first `count` that fits `bits` (row by row, first foremost, white = 1), and by how many
+    /// quarter turns clockwise the marker must be turned to look like `bits`. `None` where none fits, or two fit as
+    /// well.
     pub(crate) fn find(&self, bits: u64, count: usize) -> Option<(usize, usize)> {
         let forgiven = ((self.distance - 1) / 2).min(FORGIVEN);
         // Turning the reading back instead of every marker forth.
@@ -125,7 +127,7 @@ fn turned_back(bits: u64, side: usize) -> u64 {
     let last = side * side - 1;
     let bit = |row: usize, column: usize| bits >> (last - (row * side + column)) & 1;
     (0..side).flat_map(|row| (0..side).map(move |column| (row, column))).fold(0, |turned, (row, column)| {
-        // What stands at (row, column) after the turn stood in column `side - 1 - row`, row `column` before.
+        // What is at (row, column) after the turn was in column `side - 1 - row`, row `column` before.
         turned << 1 | bit(column, side - 1 - row)
     })
 }
@@ -182,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_names_are_told_with_the_known_ones() {
+    fn unknown_names_are_reported_with_the_known_ones() {
         let message = Dictionary::named("DICT_3X3_9").unwrap_err().to_string();
         assert!(message.contains("DICT_3X3_9") && message.contains("DICT_4X4_50"), "{message}");
     }

@@ -1,4 +1,4 @@
-//! From markers to corners: the way to a ChArUco board whose markers leave its corners little room.
+//! From markers to corners: the way to a ChArUco board whose markers leave its corners little space.
 //!
 //! With markers nearly as large as their squares the saddle points of the corners drown in the markers' borders. The
 //! markers themselves are seen well: each one read is four points of known places on the board. Neighbours that predict
@@ -58,12 +58,12 @@ pub(super) fn grids(
         let cells: BTreeSet<(i32, i32)> = placed.iter().map(|placed| placed.cell).collect();
         (cells.len(), pattern, placed)
     };
-    let mut ways: Vec<_> = beginnings.iter().map(agree).collect();
+    let mut labellings: Vec<_> = beginnings.iter().map(agree).collect();
     // Markers at the board's edge contradict the wrong beginning.
-    let most = ways.iter().map(|(cells, ..)| *cells).max().unwrap_or(0);
-    ways.retain(|(cells, ..)| *cells == most && most > 0);
-    let grown = ways.iter().map(|(_, pattern, placed)| Growth { image, layout, pattern }.grown(placed));
-    (grown.filter(|grid| !grid.corners.is_empty()).collect(), ways.len() > 1)
+    let most = labellings.iter().map(|(cells, ..)| *cells).max().unwrap_or(0);
+    labellings.retain(|(cells, ..)| *cells == most && most > 0);
+    let grown = labellings.iter().map(|(_, pattern, placed)| ExtendedGrid { image, layout, pattern }.grown(placed));
+    (grown.filter(|grid| !grid.corners.is_empty()).collect(), labellings.len() > 1)
 }
 
 fn read_all(image: &Plane, layout: &BoardLayout, markers: &MarkerLayout) -> Vec<Marker> {
@@ -131,13 +131,13 @@ fn agreeing(placed: Vec<Placed>) -> Vec<Placed> {
 }
 
 /// What corners are looked for in.
-struct Growth<'a> {
+struct ExtendedGrid<'a> {
     image: &'a Plane,
     layout: &'a BoardLayout,
     pattern: &'a Pattern<'a>,
 }
 
-impl Growth<'_> {
+impl ExtendedGrid<'_> {
     fn grown(&self, placed: &[Placed]) -> Grid {
         let mut predicted: BTreeMap<(i32, i32), Vec<&Matrix3<f64>>> = BTreeMap::new();
         for marker in placed {

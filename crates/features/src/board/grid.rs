@@ -107,7 +107,7 @@ pub(super) fn grids(candidates: &[Candidate]) -> Vec<Grid> {
         if placed[seed] || links[seed].iter().flatten().count() < 2 {
             continue;
         }
-        // Where each corner stands, and which of its edges points along +column.
+        // Where each corner is, and which of its edges points along +column.
         let mut members: BTreeMap<(i32, i32), usize> = BTreeMap::new();
         let mut queue = VecDeque::from([(seed, 0usize, (0i32, 0i32))]);
         placed[seed] = true;
@@ -196,7 +196,7 @@ impl Grid {
             let (dx, dy) = (one.0 - two.0, one.1 - two.1);
             let guess = Expected { x: one.0 + dx, y: one.1 + dy, step: dx.hypot(dy), direction, angle: dy.atan2(dx) };
             if let Some(other) = self.at(row + dr, column + dc) {
-                // The middle is better than an extrapolation: it stands alone.
+                // The middle is better than an extrapolation: it has no neighbours.
                 let (dx, dy) = (0.5 * (other.0 - one.0), 0.5 * (other.1 - one.1));
                 return Some(Expected { x: one.0 + dx, y: one.1 + dy, step: dx.hypot(dy), ..guess });
             }
@@ -240,7 +240,8 @@ impl Grid {
     }
 }
 
-/// Where a corner should be: how long a square is there, and a direction of the grid (an index of `STEPS`) with its angle in the image, rad.
+/// Where a corner should be: how long a square is there, and a direction of the grid (an index of `STEPS`) with its
+/// angle in the image, rad.
 #[derive(Debug, Clone, Copy)]
 struct Expected {
     x: f32,

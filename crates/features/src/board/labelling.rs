@@ -34,7 +34,7 @@ pub struct BoardCorner {
     pub sigma_px: f64,
 }
 
-/// One way to count: the grid is turned, then shifted.
+/// One labelling: the grid is turned, then shifted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Labelling {
     /// Quarter turns, 0 to 3: after each, the board's column is the grid's row.
@@ -62,7 +62,7 @@ impl Labelling {
 pub struct FoundBoard {
     /// Every corner, in any count.
     pub corners: Vec<GridCorner>,
-    /// The ways to count them that the pattern allows, at least one. More than one: the board looks the same when
+    /// The labellings that the pattern allows, at least one. More than one: the board looks the same when
     /// turned, or a part of it is out of view.
     pub labellings: Vec<Labelling>,
     /// Markers that were read.
@@ -97,7 +97,7 @@ impl FoundBoard {
 pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
     let ((top, bottom), (left, right)) = grid.bounds();
     let (columns, rows) = (layout.columns as i32, layout.rows as i32);
-    let colours_tell = layout.markers.is_some() || (columns + rows) % 2 == 1;
+    let colours_decide = layout.markers.is_some() || (columns + rows) % 2 == 1;
     let mut all = Vec::new();
     for turns in 0..4 {
         let (a, b) = (turned(turns, (left, top)), turned(turns, (right, bottom)));
@@ -105,7 +105,7 @@ pub(super) fn possible(grid: &Grid, layout: &BoardLayout) -> Vec<Labelling> {
         for row in -low.1..=rows - 1 - high.1 {
             for column in -low.0..=columns - 1 - high.0 {
                 let labelling = Labelling { turns, column, row };
-                if !colours_tell || keeps_colours(grid, &labelling) {
+                if !colours_decide || keeps_colours(grid, &labelling) {
                     all.push(labelling);
                 }
             }
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_tell_the_ends_of_a_board_of_odd_and_even_counts() {
+    fn colours_decide_the_orientation_of_a_board_of_odd_and_even_counts() {
         let straight = possible(&grid(11, 8, true), &layout(11, 8));
         assert_eq!(straight, [Labelling { turns: 0, column: 0, row: 0 }]);
         let upside_down = possible(&grid(11, 8, false), &layout(11, 8));

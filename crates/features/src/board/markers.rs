@@ -14,10 +14,11 @@ const BORDER_ERRORS: f64 = 0.1;
 /// Samples along a side of a bit.
 const SAMPLES: usize = 3;
 
-/// The ways to count a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
+/// The labellings of a grid that most of its markers name (one, but for old boards in part), and how many do; `None`
 /// where fewer than two agree.
 ///
-/// A grid that was clipped to the board under one beginning says nothing of the other: then all ways are told.
+/// A grid that was clipped to the board under one beginning says nothing of the other: then all labellings are
+/// returned.
 pub(super) fn read(
     image: &Plane,
     grid: &Grid,
@@ -43,7 +44,7 @@ pub(super) fn read(
         return None;
     }
     // On a board with an odd number of columns of squares, inner markers alone fit both beginnings, a column apart. The
-    // whole of a board lies on itself under one of them only; of a part both are told.
+    // whole of a board lies on itself under one of them only; of a part both are returned.
     let on_board = |labelling: &Labelling| {
         let inside = |&&(row, column): &&(i32, i32)| {
             let (column, row) = labelling.of(column, row);

@@ -5,12 +5,12 @@
 //!    quick and robust detection of chess-board features", 2014).
 //! 2. A grid grows over them (`grid`): neighbours lie along each other's edges, dark and bright swap sides from one to
 //!    the next. This is a local rule, so lens distortion, perspective and hidden parts of the board are no matter.
-//! 3. Where the markers of a ChArUco board leave its corners little room, they come first (`quads`, `from_markers`) and
-//!    predict the corners.
+//! 3. Where the markers of a ChArUco board leave its corners little space, they come first (`quads`, `from_markers`)
+//!    and predict the corners.
 //! 4. Corners are refined to about a hundredth of a pixel (`pattern`): the print about each, seen in the perspective of
 //!    its neighbours, is aligned with the image.
 //! 5. Columns and rows are counted (`labelling`). The markers of a ChArUco board name them; on a checkerboard the size
-//!    and the colours may leave several ways, and all are told.
+//!    and the colours may leave several labellings, and all are returned.
 //! 6. Corners that lie on no plane, bent as a lens would bend it, are no board's (`plane`); what they scatter about it
 //!    is in their sigma.
 

@@ -11,9 +11,9 @@ use std::collections::BTreeMap;
 pub(super) const MIN_REACH_PX: f64 = 4.0;
 /// Points compared, each way.
 const POINTS: (usize, usize) = (9, 25);
-/// Steps of the alignment at most, and when it stands still, px.
+/// Steps of the alignment at most, and when it has converged, px.
 const ROUNDS: usize = 12;
-const STILL_PX: f64 = 1e-3;
+const CONVERGED_PX: f64 = 1e-3;
 /// A print is not aligned farther than this from where it starts, px or squares, whichever is more.
 const MAX_MOVED_PX: f64 = 1.5;
 const MAX_MOVED_SQUARES: f64 = 0.08;
@@ -115,7 +115,7 @@ impl<'a> Pattern<'a> {
             if moved.is_nan() || moved > max_moved_px {
                 return None;
             }
-            if step.0.hypot(step.1) < STILL_PX {
+            if step.0.hypot(step.1) < CONVERGED_PX {
                 break;
             }
         }

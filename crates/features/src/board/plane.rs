@@ -179,7 +179,7 @@ pub(super) fn fit(corners: &[Counted], step_px: f64, min_corners: usize) -> Opti
         let left = residuals(corners, &weights, degree)?;
         lengths = left.iter().map(|r| r.0.hypot(r.1)).collect();
         // The median length of residuals of sigma 1 on each axis is 1.177. Below a hundredth of a pixel nothing is to
-        // be told apart.
+        // be distinguished.
         sigma = (median(&mut lengths.clone()) / 1.177).max(0.01);
         let weigh = |length: &f64| {
             let t = length / (TUKEY * sigma);

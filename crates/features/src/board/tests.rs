@@ -193,7 +193,7 @@ fn a_board_of_even_counts_has_two_ways_and_one_is_right() {
 }
 
 #[test]
-fn a_part_of_a_checkerboard_is_told_with_all_ways_to_count() {
+fn a_part_of_a_checkerboard_is_returned_with_all_labellings() {
     let layout = checkerboard(11, 8);
     let shot = Shot { fills: 1.1, shift: (150.0, 20.0), ..PLAIN };
     let found = detect(&layout, &shot).unwrap();
@@ -226,7 +226,7 @@ fn charuco_corners_are_named_by_their_markers() {
 
 /// Seven squares wide and six high: inner markers fit a board that begins with a white square as well, a column apart.
 #[test]
-fn a_part_of_a_charuco_board_that_may_begin_in_two_ways_is_told_with_both() {
+fn a_part_of_a_charuco_board_with_two_labellings_is_returned_with_both() {
     let layout = charuco(6, 5, "DICT_6X6_250", 0.7);
     let shot = Shot { fills: 1.3, shift: (-170.0, 20.0), ..PLAIN };
     let found = detect(&layout, &shot).unwrap();

@@ -10,7 +10,7 @@ pub enum GateOutcome {
     /// No prediction or no threshold was given; every match passed.
     #[default]
     NotAsked,
-    /// The predicted fundamental matrix is zero: the two cameras stand in one place (the same posture twice), there
+    /// The predicted fundamental matrix is zero: the two cameras are in one place (the same posture twice), there
     /// are no epipolar lines, and every match passed.
     NoBaseline,
     /// Matches farther than the threshold from their line in either image were dropped.
@@ -87,7 +87,7 @@ fn with_unit_normal(line: Vector3<f64>) -> Vector3<f64> {
 /// (`in_a^T F in_b = 0`) predicts for it (paper, 3.2.3; the threshold is `theta_th / theta_h * q_h` of Eq. (6)).
 ///
 /// Positions are undistorted pixels, one a keypoint. A zero matrix drops nothing and says so in the outcome; a baseline
-/// so short that the lines are noise cannot be told from the matrix, whose scale means nothing: do not predict then.
+/// so short that the lines are noise cannot be read off the matrix, whose scale means nothing: do not predict then.
 ///
 /// # Errors
 /// Numbers that are not finite, a threshold that is not positive, and matches without a position.

@@ -2,8 +2,8 @@
 //!
 //! Fischler and Bolles 1981; the loss is that of MSAC (Torr and Zisserman 2000); after each better sample the matrix is
 //! fitted again to its inliers (Chum, Matas, Kittler 2003). Planes and pure rotations do not determine F, yet their
-//! points satisfy every member of the family that remains: matches are still told from outliers, the matrix is then one
-//! of many and [`FundamentalFit::homography_inliers`] says so.
+//! points satisfy every member of the family that remains: matches are still separated from outliers, the matrix is
+//! then one of many and [`FundamentalFit::homography_inliers`] says so.
 
 use super::epipolar::check_positions;
 use super::homography;
@@ -255,7 +255,8 @@ mod tests {
     use super::*;
     use nalgebra::{Rotation3, Vector3};
 
-    /// Two views of `count` points by a camera with f = 1000 px, a share of them replaced by nonsense; with the truth.
+    /// Two views of `count` points by a camera with f = 1000 px, a fraction of them replaced by nonsense; with the
+    /// truth.
     fn scene(count: usize, outliers: f64, noise_px: f64, plane: bool, move_b: Vector3<f64>) -> [Vec<Point2<f64>>; 2] {
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let mut uniform = |half: f64| (random.random::<f64>() * 2.0 - 1.0) * half;

@@ -1,10 +1,10 @@
 //! Coordinates of image B in which the band around an epipolar line is an interval of the second one.
 //!
-//! Epipolar lines meet in the epipole. Counted by distance from it ("u") and direction (an angle modulo pi, "v"), a band
-//! of half width `w` is, for all points at least `r` from the epipole, an interval of half width `asin(w / r)` of the
-//! direction. Where the epipole is so far away that the lines are as good as parallel, and where there are no lines,
-//! u and v run straight, along the lines and at a right angle to them. What is computed here only chooses whom to look
-//! at: every interval may be too wide and none may be too narrow.
+//! Epipolar lines meet in the epipole. Counted by distance from it ("u") and direction (an angle modulo pi, "v"), a
+//! band of half width `w` is, for all points at least `r` from the epipole, an interval of half width `asin(w / r)` of
+//! the direction. Where the epipole is so far away that the lines are as good as parallel, and where there are no
+//! lines, u and v run straight, along the lines and at a right angle to them. What is computed here only chooses whom
+//! to look at: every interval may be too wide and none may be too narrow.
 
 use crate::FeaturesError;
 use nalgebra::{Point2, Vector2, Vector3};
@@ -133,8 +133,8 @@ impl Chart {
         matches!(self, Chart::Polar { .. })
     }
 
-    /// Half of the interval of v that a band takes up at least this far from the epipole; nothing in the straight chart,
-    /// where it depends on the line.
+    /// Half of the interval of v that a band takes up at least this far from the epipole; nothing in the straight
+    /// chart, where it depends on the line.
     pub(super) fn half_at(&self, u: f64, half_width_px: f64) -> f64 {
         match self {
             Chart::Polar { off_px, slack_px, .. } => {

@@ -1,8 +1,9 @@
 //! The masked distance matrix, sixteen entries at once.
 //!
-//! Keypoints of image A are sorted as those of image B are, and neighbours share their candidates: four rows and a run of
-//! blocks go to the kernel of the exhaustive search, with a mask of the pairs that the prediction refuses. The mask is
-//! computed in single precision; where that cannot tell (a pair within rounding of a threshold), in double precision.
+//! Keypoints of image A are sorted as those of image B are, and neighbours share their candidates: four rows and a run
+//! of blocks go to the kernel of the exhaustive search, with a mask of the pairs that the prediction refuses. The mask
+//! is computed in single precision; where that cannot decide (a pair within rounding of a threshold), in double
+//! precision.
 
 use super::chart::{Chart, ChartedLine, Extent, Interval};
 use super::strips::{Located, Reach, Site, SortKeys, Strips};
@@ -171,8 +172,8 @@ struct CoarseRow {
     in_a: [f32; 2],
     half_width: f32,
     near: [f32; 2],
-    /// With the distance `d` from the predicted point, `d^2 * per_px - radius` is how far beyond the radius it is, near it;
-    /// negative throughout if there is no such point.
+    /// With the distance `d` from the predicted point, `d^2 * per_px - radius` is how far beyond the radius it is, near
+    /// it; negative throughout if there is no such point.
     per_px: f32,
     radius: f32,
     /// What single precision can be wrong by, px.
@@ -231,7 +232,8 @@ impl Search<'_> {
 }
 
 /// The two best of each row of a band, and the best in it of every column.
-// With wider vectors the mask takes a fraction of the time; what single precision cannot tell is never decided by it.
+// With wider vectors the mask takes a fraction of the time; what single precision cannot decide is left to double
+// precision.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2"))]
 fn search_band(search: &Search<'_>, order: &[u64]) -> (Vec<[u64; 2]>, Vec<Lanes>) {
     let strips = search.strips;
@@ -285,7 +287,7 @@ fn search_band(search: &Search<'_>, order: &[u64]) -> (Vec<[u64; 2]>, Vec<Lanes>
     (best, columns)
 }
 
-/// Marks the pairs of a block and a group that are not admitted, but for those of which single precision cannot tell;
+/// Marks the pairs of a block and a group that are not admitted, but for those which single precision cannot decide;
 /// whether any is left, and whether there are of the latter.
 #[inline(always)]
 fn mask<const DISC: bool>(coarse: &[CoarseRow; ROWS], site: &Site, refused: &mut Refused) -> [bool; 2] {

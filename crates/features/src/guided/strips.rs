@@ -1,8 +1,8 @@
 //! The keypoints of image B in blocks, so that those near a line or a point are few runs of blocks.
 //!
-//! Image B is cut into strips by the first coordinate of a [`Chart`]; in a strip the keypoints are sorted by the second,
-//! sixteen to a block. Strips are chosen such that a run holds little besides what is looked for and is still longer
-//! than its two ragged ends.
+//! Image B is cut into strips by the first coordinate of a [`Chart`]; in a strip the keypoints are sorted by the
+//! second, sixteen to a block. Strips are chosen such that a run holds little besides what is looked for and is still
+//! longer than its two ragged ends.
 
 use super::chart::{Chart, Interval};
 use crate::Descriptor;
@@ -154,8 +154,8 @@ impl Strips {
         self.strips.partition_point(|strip| strip.to < u).min(self.strips.len() - 1)
     }
 
-    /// Visits the runs of blocks that may hold what lies within `across` (of u) and, for each strip, within the interval
-    /// of v that `wanted` gives for the u of the strip and its [`Chart::half_at`]. No block is visited twice.
+    /// Visits the runs of blocks that may hold what lies within `across` (of u) and, for each strip, within the
+    /// interval of v that `wanted` gives for the u of the strip and its [`Chart::half_at`]. No block is visited twice.
     #[inline(always)]
     pub(super) fn for_each_run(
         &self,

@@ -114,7 +114,7 @@ proptest! {
             let after = match_and_filter(a, b, Some(&matrix), &options).unwrap();
             let found: Vec<_> = found.matches.iter().map(|m| (m.a, m.b)).collect();
             for m in after.matches {
-                // But for a true second beyond the one that stands in for a missing one.
+                // But for a true second beyond the substitute for a missing one.
                 prop_assert!(m.second_distance > 243 || found.contains(&(m.a, m.b)), "{:?}", m);
             }
         }

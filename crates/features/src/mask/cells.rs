@@ -71,7 +71,7 @@ impl Cells {
         self.around(reach, u32::MAX, u32::min)
     }
 
-    /// Share of the cells that are not zero.
+    /// Fraction of the cells that are not zero.
     pub(super) fn fraction(&self) -> f64 {
         self.counts.iter().filter(|&&count| count > 0).count() as f64 / self.counts.len().max(1) as f64
     }

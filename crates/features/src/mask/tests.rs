@@ -50,7 +50,7 @@ impl Sequence {
     }
 }
 
-/// Share of the pixels of an area that the mask covers.
+/// Fraction of the pixels of an area that the mask covers.
 fn covered(mask: &GrayImage, x: std::ops::Range<u32>, y: std::ops::Range<u32>) -> f64 {
     let area = f64::from((x.end - x.start) * (y.end - y.start));
     let pixels = x.flat_map(|x| y.clone().map(move |y| (x, y)));
@@ -68,7 +68,7 @@ const MOTIONS: [(f64, f64, f64); 6] = [
 ];
 
 #[test]
-fn what_stands_still_is_masked_and_the_scene_is_not() {
+fn what_is_static_is_masked_and_the_scene_is_not() {
     let found = sequence(&MOTIONS, true).search();
     assert_eq!((found.outcome, found.moving_pairs), (MaskOutcome::Found, 6));
     assert!(covered(&found.mask, 0..130, 350..480) > 0.97, "{}", covered(&found.mask, 0..130, 350..480));
@@ -96,7 +96,7 @@ fn a_camera_that_hardly_moves_masks_nothing() {
 
 #[test]
 fn the_pivot_of_a_turn_is_no_gripper() {
-    // Always the same turn about the middle: there the scene stands still in every pair.
+    // Always the same turn about the middle: there the scene is static in every pair.
     let found = sequence(&[(0.5, 0.0, 0.0); 10], false).search();
     assert_eq!((found.outcome, found.moving_pairs), (MaskOutcome::NothingFixed, 10));
 }
@@ -159,7 +159,7 @@ fn the_gripper_of_the_shelf_is_found() {
     let [left, right, shelf] =
         [(0..120, 5..150), (520..640, 5..150), (170..470, 60..480)].map(|(x, y)| covered(&found.mask, x, y));
     assert!(left > 0.5 && right > 0.8 && shelf == 0.0, "left pad {left}, right pad {right}, shelf {shelf}");
-    // With the mask, hardly anything is left that stands still, and nearly all of the scene.
+    // With the mask, hardly anything static is left, and nearly all of the scene.
     let kept: Vec<Features> = features.iter().map(|features| keep_unmasked(features, &found.mask)).collect();
     let again = search_images(&kept);
     println!("with the mask: {} still, {} scene matches", again.static_matches, again.scene_matches);

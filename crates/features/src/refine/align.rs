@@ -17,7 +17,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 const PARAMETERS: usize = 6;
 /// Values that are summed side by side; lists are padded to a multiple.
 const WIDTH: usize = 8;
-/// Damping of the linear part against the shift, as a share of its own curvature.
+/// Damping of the linear part against the shift, as a fraction of its own curvature.
 const LINEAR_DAMPING: f64 = 0.02;
 
 /// A patch of image A and all that is computed of it once.
@@ -68,7 +68,7 @@ pub(super) struct Fit {
 
 /// Which parameters a step may change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Freedom {
+pub(super) enum WarpDof {
     /// The centre.
     Shift,
     /// The centre and the linear part.
@@ -76,7 +76,7 @@ pub(super) enum Freedom {
 }
 
 impl Template {
-    /// Room for patches of `count` samples a side, an odd number.
+    /// Buffers for patches of `count` samples a side, an odd number.
     pub(super) fn new(count: usize) -> Self {
         let half = (count / 2) as f32;
         // A Gaussian that falls to a tenth at the corners: what is far from the centre moves the centre less.
@@ -129,17 +129,17 @@ impl Template {
     /// Improves the warp by one step; `None` if the patch has left the image or has no structure.
     ///
     /// Returns by how much the centre moved, px of the level.
-    pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, freedom: Freedom) -> Option<f64> {
+    pub(super) fn step(&mut self, level: &Level, warp: &mut Warp, dof: WarpDof) -> Option<f64> {
         let Look { gain, correlation } = self.look(level, warp)?;
         self.correlation = correlation;
         let right = right_side(&self.derivatives, &self.other, self.mean);
         let right = SVector::<f64, PARAMETERS>::from(right.map(|sum| gain * f64::from(sum)));
-        let (shift, linear) = match freedom {
-            Freedom::Shift => {
+        let (shift, linear) = match dof {
+            WarpDof::Shift => {
                 let shift = self.normal.fixed_view::<2, 2>(0, 0).try_inverse()? * right.fixed_rows::<2>(0);
                 (shift, Matrix2::zeros())
             }
-            Freedom::Affine => {
+            WarpDof::Affine => {
                 let mut normal = self.normal;
                 for diagonal in 2..PARAMETERS {
                     normal[(diagonal, diagonal)] *= 1.0 + LINEAR_DAMPING;
@@ -160,13 +160,13 @@ impl Template {
 
     /// How well the warp fits, by the patch that the last step saw: where that moved little, it is as good as the one
     /// where it went to.
-    pub(super) fn fit(&self, warp: &Warp, freedom: Freedom) -> Option<Fit> {
+    pub(super) fn fit(&self, warp: &Warp, dof: WarpDof) -> Option<Fit> {
         let correlation = self.correlation;
         // What gain and bias leave: both patches have noise, hence the factor two of a small disagreement.
         let noise = 2.0 * (1.0 - correlation).max(1e-6) * self.energy / self.weights_sum * self.weights_mean;
-        let shift = match freedom {
-            Freedom::Shift => self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?,
-            Freedom::Affine => self.normal.cholesky()?.inverse().fixed_view::<2, 2>(0, 0).into_owned(),
+        let shift = match dof {
+            WarpDof::Shift => self.normal.fixed_view::<2, 2>(0, 0).try_inverse()?,
+            WarpDof::Affine => self.normal.cholesky()?.inverse().fixed_view::<2, 2>(0, 0).into_owned(),
         };
         let covariance = warp.linear * (shift * noise) * warp.linear.transpose();
         covariance.iter().all(|value| value.is_finite()).then_some(Fit { correlation, covariance })

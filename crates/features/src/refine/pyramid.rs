@@ -16,7 +16,8 @@ pub(super) const SMOOTHING_PX2: f64 = 0.5;
 /// The cubic B-spline smooths by this variance along an axis, px²; that of Catmull and Rom does not smooth.
 pub(super) const SPLINE_PX2: f64 = 1.0 / 3.0;
 
-/// Interpolation by a cubic: by powers of the offset from the second of four samples, the coefficients of their weights.
+/// Interpolation by a cubic: by powers of the offset from the second of four samples, the coefficients of their
+/// weights.
 ///
 /// A blend of Catmull and Rom's spline, which interpolates, and the B-spline, which smooths.
 #[derive(Debug, Clone, Copy)]
@@ -85,7 +86,8 @@ impl Pyramid {
 }
 
 impl Level {
-    /// Every `step`th pixel of every `step`th row after smoothing both ways with a filter that sums to 16, edges repeated.
+    /// Every `step`th pixel of every `step`th row after smoothing both ways with a filter that sums to 16, edges
+    /// repeated.
     fn smoothed(&self, filter: [u32; 5], step: usize) -> Level {
         let (width, height) = (self.width.div_ceil(step), self.height.div_ceil(step));
         let mut values = Vec::with_capacity(width * height);

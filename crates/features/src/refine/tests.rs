@@ -216,7 +216,7 @@ fn a_slanted_plane_shifts_no_point_whose_bend_is_known() {
     }
     let [affine, bent] = [affine / count, bent / count];
     assert!(count > 150.0, "{count}");
-    assert!(affine < -0.01, "the plane's bend pulls to one side: {affine} px");
+    assert!(affine < -0.01, "the plane's bend shifts to one side: {affine} px");
     assert!(bent.abs() < 0.2 * affine.abs(), "{bent} px, affine {affine} px");
 }
 

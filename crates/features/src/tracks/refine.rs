@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// What is predicted of the change from the patch at an observation (the reference) to the patch at another one.
 pub trait WarpPrediction: Sync {
     /// The linear part, to start from: a small offset `d` in the first image becomes `M d` in the second. `None` where
-    /// nothing is predicted: then sizes and orientations of the keypoints tell it.
+    /// nothing is predicted: then sizes and orientations of the keypoints give it.
     fn linear(&self, _reference: Observation, _observation: Observation) -> Option<Matrix2<f64>> {
         None
     }
@@ -43,9 +43,9 @@ pub enum TrackPoint {
 }
 
 impl TrackPoint {
-    /// Position in px and covariance in px², if the observation is to be used; `reference_sigma_px` is what the reference
-    /// is granted. The noise of the reference's patch is in the covariance of the others, so it need only cover what
-    /// the model of the camera leaves.
+    /// Position in px and covariance in px², if the observation is to be used; `reference_sigma_px` is what the
+    /// reference is granted. The noise of the reference's patch is in the covariance of the others, so it need only
+    /// cover what the model of the camera leaves.
     pub fn measurement(&self, reference_sigma_px: f64) -> Option<(Point2<f64>, Matrix2<f64>)> {
         match self {
             TrackPoint::Reference { position } => {
@@ -78,10 +78,10 @@ impl RefinedTracks {
 
 /// Aligns every observation of a track with the track's reference.
 ///
-/// The reference is the observation whose keypoint's size is nearest to all others' (least sum of logarithms' distances),
-/// of equals the one of strongest response, then the first. `keypoints` and `pyramids` hold one entry an image. Where
-/// `predicted` gives nothing, the linear part comes from the sizes and orientations of the keypoints, and there is none
-/// of second order.
+/// The reference is the observation whose keypoint's size is nearest to all others' (least sum of logarithms'
+/// distances), of equals the one of strongest response, then the first. `keypoints` and `pyramids` hold one entry an
+/// image. Where `predicted` gives nothing, the linear part comes from the sizes and orientations of the keypoints, and
+/// there is none of second order.
 ///
 /// Runs on rayon's current pool; the result does not depend on it.
 ///
@@ -327,7 +327,7 @@ mod tests {
         }
         let failing = |image| Err(FeaturesError::NoSuchIndex { what: "image", index: image, count: 0 });
         assert!(refine_tracks_in_windows(&tracks, &lists, 2, failing, None, &options).is_err());
-        // A prediction that is nonsense is used, and tells.
+        // A prediction that is nonsense is used, and shows.
         struct Nonsense;
         impl WarpPrediction for Nonsense {
             fn linear(&self, _: Observation, _: Observation) -> Option<Matrix2<f64>> {

@@ -4,10 +4,11 @@ use super::{roll_pitch_yaw, rounded};
 use crate::{Isometry3, JointKind, ParameterKind, SerialChain};
 use std::fmt::Write;
 
-/// Stand-in for the greatest effort, N m or N. Planners that read it want it above zero; none plans with it alone.
+/// Placeholder for the greatest effort, N m or N. Planners that read it want it above zero; none plans with it alone.
 const EFFORT: f64 = 100.0;
 
-/// Stand-in for the greatest speed: slow for an arm, so that a motion planned with it is too slow and not too fast; zero would forbid any.
+/// Placeholder for the greatest speed: slow for an arm, so that a motion planned with it is too slow and not too fast;
+/// zero would forbid any.
 fn velocity(kind: JointKind) -> f64 {
     match kind {
         JointKind::Revolute => 1.0,
@@ -15,19 +16,20 @@ fn velocity(kind: JointKind) -> f64 {
     }
 }
 
-const STAND_INS: &str = "  <!-- Effort and velocity of the joints are not known to the calibration: the figures are stand-ins, chosen slow.\n       \
+const PLACEHOLDERS: &str = "  <!-- Effort and velocity of the joints are not known to the calibration: the values are placeholders, chosen slow.\n       \
                          Put those of the maker in their place before you plan with them. -->\n";
 
-/// A robot description of nothing but the chain, from `base_link` to `tip_link`: the forward kinematics of the text are the chain's. Joints without
-/// limits are `continuous`; a sliding joint without limits gets 1000 km either way, because URDF knows none without. Its `limit` must have an effort and
-/// a velocity too, which a calibration does not know: the text has stand-ins (100 N m and 1 rad/s, 100 N and 0.1 m/s) and says so in a comment.
+/// A robot description of nothing but the chain, from `base_link` to `tip_link`: the forward kinematics of the text are
+/// the chain's. Joints without limits are `continuous`; a sliding joint without limits gets 1000 km either way, because
+/// URDF knows none without. Its `limit` must have an effort and a velocity too, which a calibration does not know: the
+/// text has placeholders (100 N m and 1 rad/s, 100 N and 0.1 m/s) and says so in a comment.
 pub fn bare_urdf(chain: &SerialChain, robot: &str, base_link: &str, tip_link: &str) -> String {
     let link = |at: usize| if at == 0 { escaped(base_link) } else { format!("link_{at}") };
-    let mut text = format!("<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n{STAND_INS}", escaped(robot));
+    let mut text = format!("<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n{PLACEHOLDERS}", escaped(robot));
     let mut pending = Isometry3::identity();
     for (at, joint) in chain.joints().iter().enumerate() {
-        // Motions along and about the joint's own axis commute with the joint: they stand in its origin. What follows them belongs
-        // to the next origin.
+        // Motions along and about the joint's own axis commute with the joint: they are in its origin. What follows
+        // them belongs to the next origin.
         let motions = joint.link.motions(0.0, 0.0);
         let along_axis = |kind: ParameterKind| matches!(kind, ParameterKind::ThetaOffset | ParameterKind::D);
         let split = motions.iter().rposition(|(kind, _)| along_axis(*kind)).map_or(0, |last| last + 1);
@@ -123,7 +125,7 @@ mod tests {
             let text = bare_urdf(&chain, "an \"arm\" & <hand>", "base_link", "tool0");
             let back = chain_from_urdf(&text, "base_link", "tool0").unwrap();
             assert_eq!(back.joints()[0].name, "shoulder");
-            assert!(text.contains("effort=\"100\" velocity=\"1\"/>") && text.contains("stand-ins"), "{text}");
+            assert!(text.contains("effort=\"100\" velocity=\"1\"/>") && text.contains("placeholders"), "{text}");
             assert!(text.contains("<robot name=\"an &quot;arm&quot; &amp; &lt;hand&gt;\">"), "{text}");
             assert_eq!((back.joints()[0].limits, back.joints()[1].limits), (Some([-2.0, 2.5]), None));
             for joints in [[0.0; 3], [0.4, -1.9, 2.2]] {

@@ -29,7 +29,7 @@ pub enum CollisionShape {
     },
     /// A file with triangles.
     Mesh {
-        /// As it stands in the URDF: a path, or `package://...`.
+        /// As written in the URDF: a path, or `package://...`.
         file: String,
         /// Factors along x, y and z.
         scale: [f64; 3],
@@ -66,10 +66,11 @@ pub struct CollisionModel {
 impl CollisionModel {
     /// Reads all `<collision>` elements of the links that hang on the URDF's root.
     ///
-    /// `base_link` is the link whose frame is the base; `None`: the root. Mimic, planar and floating joints stand at 0.
+    /// `base_link` is the link whose frame is the base; `None`: the root. Mimic, planar and floating joints are at 0.
     ///
     /// # Errors
-    /// [`KinematicsError::Urdf`] with the line, as for [`crate::chain_from_urdf`]; several roots; shapes without their sizes.
+    /// [`KinematicsError::Urdf`] with the line, as for [`crate::chain_from_urdf`]; several roots; shapes without their
+    /// sizes.
     pub fn from_urdf(text: &str, base_link: Option<&str>) -> Result<Self, KinematicsError> {
         let document = Document::parse(text)?;
         let roots = document.roots();
@@ -101,8 +102,8 @@ impl CollisionModel {
         steps.filter_map(|step| step.motion.as_ref()).map(|(name, ..)| name.as_str()).collect()
     }
 
-    /// `base_from_shape` of every shape at the values (radians or metres) that `value_of` gives the joints by name; joints
-    /// without one stand at 0.
+    /// `base_from_shape` of every shape at the values (radians or metres) that `value_of` gives the joints by name;
+    /// joints without one are at 0.
     pub fn base_from_shapes(&self, value_of: impl Fn(&str) -> Option<f64>) -> Vec<Isometry3> {
         let root_from =
             |steps: &[Step]| steps.iter().fold(Isometry3::identity(), |pose, step| pose * step.pose(&value_of));
@@ -207,7 +208,7 @@ mod tests {
         assert!(
             matches!(&model.bodies()[2].shape, CollisionShape::Mesh { file, scale } if file.ends_with("finger.stl") && scale[1] == 0.001)
         );
-        assert_eq!(model.joints().into_iter().collect::<Vec<_>>(), ["turn"], "a mimic joint stands still");
+        assert_eq!(model.joints().into_iter().collect::<Vec<_>>(), ["turn"], "a mimic joint stays at rest");
         let quarter = std::f64::consts::FRAC_PI_2;
         let poses = model.base_from_shapes(|name| (name == "turn").then_some(quarter));
         assert!((poses[0] * Point3::origin() - Point3::new(0.0, 0.2, 0.5)).norm() < 1e-12);
@@ -220,15 +221,15 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        let told = |text: &str| CollisionModel::from_urdf(text, None).unwrap_err().to_string();
+        let refusal = |text: &str| CollisionModel::from_urdf(text, None).unwrap_err().to_string();
         assert!(
-            told(&ARM.replace(r#"radius="0.05" "#, "")).contains("line 3"),
+            refusal(&ARM.replace(r#"radius="0.05" "#, "")).contains("line 3"),
             "{}",
-            told(&ARM.replace(r#"radius="0.05" "#, ""))
+            refusal(&ARM.replace(r#"radius="0.05" "#, ""))
         );
-        assert!(told(&ARM.replace("0.1 0.02 0.02", "0.1 NaN 0.02")).contains("'finger'"));
-        assert!(told(&ARM.replace("0.1 0.02 0.02", "0.1 -1 0.02")).contains("negative"));
-        assert!(told(&ARM.replace("<box size=\"0.1 0.02 0.02\"/>", "<capsule/>")).contains("capsule"));
+        assert!(refusal(&ARM.replace("0.1 0.02 0.02", "0.1 NaN 0.02")).contains("'finger'"));
+        assert!(refusal(&ARM.replace("0.1 0.02 0.02", "0.1 -1 0.02")).contains("negative"));
+        assert!(refusal(&ARM.replace("<box size=\"0.1 0.02 0.02\"/>", "<capsule/>")).contains("capsule"));
         assert!(CollisionModel::from_urdf(ARM, Some("wrist")).is_err());
     }
 }

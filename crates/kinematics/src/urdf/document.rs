@@ -299,7 +299,7 @@ impl<'a> RawJoint<'a> {
     }
 }
 
-/// The value of an attribute as it stands in the text (character references in names are left as they are).
+/// The value of an attribute as written in the text (character references in names are left as they are).
 fn text_of<'a>(text: &'a str, node: &Node<'_, '_>, key: &str) -> Option<&'a str> {
     let attribute = node.attributes().find(|attribute| attribute.name() == key && attribute.namespace().is_none())?;
     Some(&text[attribute.range_value()])

@@ -1,9 +1,9 @@
 //! The calibrated chain written back into its URDF.
 //!
-//! A link of the chain is where its frame on the joint's axis is: with `F_i` that frame at joint values 0 and `C_i` URDF's
-//! frame of the same link, `X_i = F_i^-1 C_i` is a property of the link, and the calibrated `C_i' = F_i' X_i`. So
-//! visuals, collisions and everything that hangs on the link stay where they are *on it*. The origin of joint i follows
-//! from `C_(i-1)'`, the fixed joints between, and `C_i'`; joint axes and fixed joints keep their text.
+//! A link of the chain is where its frame on the joint's axis is: with `F_i` that frame at joint values 0 and `C_i`
+//! URDF's frame of the same link, `X_i = F_i^-1 C_i` is a property of the link, and the calibrated `C_i' = F_i' X_i`.
+//! So visuals, collisions and everything that hangs on the link stay where they are *on it*. The origin of joint i
+//! follows from `C_(i-1)'`, the fixed joints between, and `C_i'`; joint axes and fixed joints keep their text.
 
 use super::document::{Document, OriginPlace, UrdfJoint, refuse};
 use crate::chain::JointKind;
@@ -18,10 +18,11 @@ const SAME_RESULT: f64 = 1e-9;
 
 /// The text of a URDF in which the origins of the joints between two links are those of a calibrated chain.
 ///
-/// `nominal` is the chain that the calibration began with: [`chain_from_urdf`](super::chain_from_urdf) of the same text,
-/// or another description (a DH table) of the same arm with the same base, flange and joint zeros. Only `xyz` and `rpy`
-/// of `<origin>` of the movable joints on the way change (and of the fixed joint at the end, if the calibrated flange
-/// asks for it); every other byte stays, and forward kinematics of the result equal the calibrated chain's to 1e-9.
+/// `nominal` is the chain that the calibration began with: [`chain_from_urdf`](super::chain_from_urdf) of the same
+/// text, or another description (a DH table) of the same arm with the same base, flange and joint zeros. Only `xyz` and
+/// `rpy` of `<origin>` of the movable joints on the way change (and of the fixed joint at the end, if the calibrated
+/// flange asks for it); every other byte stays, and forward kinematics of the result equal the calibrated chain's to
+/// 1e-9.
 ///
 /// # Errors
 /// As [`chain_from_urdf`](super::chain_from_urdf); [`KinematicsError::Urdf`] if `nominal` is not the arm of the URDF,

@@ -1,7 +1,7 @@
 //! Binary glTF 2.0: what browsers and most viewers open.
 //!
-//! glTF's y axis points up and its vertex colours are linear light; the base's z axis points up and cameras' colours are
-//! sRGB. A rotated node and a conversion of the colours see to both.
+//! glTF's y axis points up and its vertex colours are linear light; the base's z axis points up and cameras' colours
+//! are sRGB. A rotated node and a conversion of the colours see to both.
 
 use crate::{Error, TriangleMesh};
 use std::io::Write;

@@ -46,7 +46,7 @@ pub fn read_stl(mut source: impl Read) -> Result<TriangleMesh, Error> {
     let count =
         bytes.get(80..84).map_or(0, |count| u32::from_le_bytes([count[0], count[1], count[2], count[3]]) as usize);
     let mut points = Vec::new();
-    // Binary files may begin with "solid" too; the length tells.
+    // Binary files may begin with "solid" too; the length decides.
     if bytes.len() >= 84 && bytes.len() == 84 + 50 * count {
         for record in bytes[84..].chunks_exact(50) {
             let number = |at: usize| f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]);
@@ -105,14 +105,14 @@ mod tests {
         let text = "solid one\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1e0 0 0\nvertex 0 2 0\nendloop\nendfacet\nendsolid";
         let read = read_stl(text.as_bytes()).unwrap();
         assert_eq!(read.vertices.points, [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]);
-        let told = |bytes: &[u8]| read_stl(bytes).unwrap_err().to_string();
-        assert!(told(&bytes[..bytes.len() - 7]).contains("announces 2 triangles"));
-        assert!(told(b"").contains("announces 0"));
-        assert!(told(text.replace("1e0", "one").as_bytes()).contains("corner 2"));
-        assert!(told(&text.as_bytes()[..53]).contains("ends after"));
-        assert!(told(text.replace("1e0", "NaN").as_bytes()).contains("not finite"));
+        let refusal = |bytes: &[u8]| read_stl(bytes).unwrap_err().to_string();
+        assert!(refusal(&bytes[..bytes.len() - 7]).contains("announces 2 triangles"));
+        assert!(refusal(b"").contains("announces 0"));
+        assert!(refusal(text.replace("1e0", "one").as_bytes()).contains("corner 2"));
+        assert!(refusal(&text.as_bytes()[..53]).contains("ends after"));
+        assert!(refusal(text.replace("1e0", "NaN").as_bytes()).contains("not finite"));
         let mut greedy = bytes[..84].to_vec();
         greedy[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert!(told(&greedy).contains("4294967295"));
+        assert!(refusal(&greedy).contains("4294967295"));
     }
 }

@@ -12,7 +12,7 @@ use multiversion::multiversion;
 pub(super) const RUN: usize = 64;
 pub(super) const PARTIAL_RUN: usize = 16;
 
-/// The window without its centre: column and row. The four near ones stand first.
+/// The window without its centre: column and row. The four near ones come first.
 const WINDOW: [(i32, i32); 12] =
     [(-1, -1), (1, -1), (-1, 1), (1, 1), (-2, -2), (0, -2), (2, -2), (-2, 0), (2, 0), (-2, 2), (0, 2), (2, 2)];
 const NEAR: usize = 4;
@@ -104,7 +104,7 @@ impl Scales {
     }
 }
 
-/// Fits a run of pixels and tells for which the window is not complete: what is written there is to be replaced.
+/// Fits a run of pixels and returns for which the window is not complete: what is written there is to be replaced.
 #[multiversion(targets("x86_64+avx2"))]
 pub(super) fn fit_complete(fitter: &PatchFitter<'_>, y: usize, at: usize, out: &mut PatchRow) -> [bool; RUN] {
     let Run { here, around, ray: [ray_x, ray_y], scales } = Run::<RUN>::new(fitter, y, at);

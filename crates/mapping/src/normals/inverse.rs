@@ -21,7 +21,7 @@ impl InverseDepths {
         inverse
     }
 
-    /// Makes room for an image; what is inside the borders is to be filled.
+    /// Resizes the buffers for an image; what is inside the borders is to be filled.
     pub(crate) fn make_room(&mut self, width: usize, height: usize, window: NormalWindow) {
         let margin = window.radius();
         let stride = width.next_multiple_of(RUN) + 2 * margin;

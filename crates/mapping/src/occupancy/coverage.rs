@@ -29,7 +29,8 @@ impl FreeBoundary {
 }
 
 impl OccupancyGrid {
-    /// Share of a ball's cells (those whose centres it holds) that was seen to be free or occupied; base frame, metres.
+    /// Fraction of a ball's cells (those whose centres it holds) that was seen to be free or occupied; base frame,
+    /// metres.
     ///
     /// An error for a ball without size, or of more than 100 million cells.
     pub fn observed_fraction_of_ball(&self, centre_in_base: Point3<f64>, radius_m: f64) -> Result<f64, Error> {

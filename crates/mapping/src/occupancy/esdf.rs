@@ -7,7 +7,7 @@ use crate::Error;
 use rayon::prelude::*;
 use std::io::Write;
 
-/// A dense box of cells; the cell `(x, y, z)` stands at `(x * ny + y) * nz + z`.
+/// A dense box of cells; the cell `(x, y, z)` is at `(x * ny + y) * nz + z`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Esdf {
     /// Cells along x, y, z.

@@ -246,7 +246,7 @@ pub(crate) mod tests {
         assert_eq!(grid.at([0.2, -0.1, 1.01]), Occupancy::Occupied);
         assert_eq!(grid.at([0.0, 0.0, 1.05]), Occupancy::Unknown);
         assert_eq!(grid.at([0.0, 0.0, -0.2]), Occupancy::Unknown, "behind the camera");
-        assert_eq!(grid.at([0.8, 0.0, 0.5]), Occupancy::Unknown, "outside the picture");
+        assert_eq!(grid.at([0.8, 0.0, 0.5]), Occupancy::Unknown, "outside the image");
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! OctoMap's files: `.bt` (free, occupied, unknown) and `.ot` (log-odds), written from a real octree with equal leaves
 //! merged.
 //!
-//! A tree has sixteen levels over indices shifted by 2^15; child `i` lies at `(i & 1, i >> 1 & 1, i >> 2 & 1)`. In `.bt`
-//! a node is two bits a child: 01 free, 10 occupied, 11 has children, 00 unknown (least significant first), then the
-//! nodes of its children, depth first. In `.ot` a node is its log-odds as a float and a byte of which children exist.
+//! A tree has sixteen levels over indices shifted by 2^15; child `i` lies at `(i & 1, i >> 1 & 1, i >> 2 & 1)`. In
+//! `.bt` a node is two bits a child: 01 free, 10 occupied, 11 has children, 00 unknown (least significant first), then
+//! the nodes of its children, depth first. In `.ot` a node is its log-odds as a float and a byte of which children
+//! exist.
 
 use super::{INDEX_LIMIT, OccupancyGrid};
 use crate::Error;

@@ -8,7 +8,7 @@ use crate::{DepthFilter, Error, View};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rayon::prelude::*;
 
-/// A block's address and what a view tells of its cells.
+/// A block's address and what a view says of its cells.
 pub(super) type ObservedBlock = (VoxelKey, Box<[Occupancy; CELLS]>);
 
 /// A depth image and, level by level, the smallest depth of ever larger squares of pixels.
@@ -60,7 +60,7 @@ impl DepthPyramid {
         }
     }
 
-    /// Blocks of which the view tells anything, in the order of their addresses.
+    /// Blocks of which the view says anything, in the order of their addresses.
     pub(super) fn observed_blocks(
         &self,
         view: &View<'_>,

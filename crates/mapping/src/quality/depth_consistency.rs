@@ -24,7 +24,8 @@ pub struct DepthConsistencyOptions {
     pub stride: usize,
     /// Pairs with fewer points in common do not overlap.
     pub min_points: usize,
-    /// Of the points taken, every how many along each axis is told one by one in [`DepthConsistency::samples`]; 0 for none.
+    /// Of the points taken, every how many along each axis is listed one by one in [`DepthConsistency::samples`]; 0 for
+    /// none.
     pub sample_every: usize,
 }
 
@@ -99,7 +100,7 @@ pub fn depth_consistency(views: &[View<'_>], options: &DepthConsistencyOptions) 
         taken.push(points_in_base(view, rays, options));
     }
     let mut samples = Samples::new(views, &taken, options);
-    // Distances by pair; the pair (i, j) with i < j stands at i * n + j.
+    // Distances by pair; the pair (i, j) with i < j is at i * n + j.
     let mut distances: Vec<Vec<f32>> = vec![Vec::new(); views.len() * views.len()];
     for (target, view) in views.iter().enumerate() {
         let surface = Target::new(view, rays_of(&mut rays, view), options);
@@ -129,7 +130,7 @@ pub fn depth_consistency(views: &[View<'_>], options: &DepthConsistencyOptions) 
     Ok(DepthConsistency { pairs, median_m: quantile(&mut all, 0.5), p90_m: quantile(&mut all, 0.9), samples })
 }
 
-/// The points that are told one by one, and the distances found for them so far.
+/// The points that are listed one by one, and the distances found for them so far.
 struct Samples {
     /// View by view, places in the list of its points.
     places: Vec<Vec<usize>>,
@@ -253,15 +254,15 @@ mod tests {
         // It moved 5 cm sideways, and says it came 7 mm nearer, which it did not.
         let second = View { base_from_color: Isometry3::translation(0.05, 0.0, 0.007), ..first };
         let away = View { base_from_color: Isometry3::translation(50.0, 0.0, 0.0), ..first };
-        let gaps = depth_consistency(&[first, second, away], &DepthConsistencyOptions::default()).unwrap();
-        assert_eq!(gaps.pairs.len(), 1, "the third one sees another wall");
-        let pair = gaps.pairs[0];
+        let found = depth_consistency(&[first, second, away], &DepthConsistencyOptions::default()).unwrap();
+        assert_eq!(found.pairs.len(), 1, "the third one sees another wall");
+        let pair = found.pairs[0];
         assert_eq!((pair.first, pair.second), (0, 1));
         assert!((pair.median_m - 0.007).abs() < 1e-4 && (pair.p90_m - 0.007).abs() < 1e-4);
-        assert_eq!(gaps.median_m, Some(pair.median_m));
-        assert!(gaps.samples.is_empty());
-        let told = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
-        let samples = depth_consistency(&[first, second, away], &told).unwrap().samples;
+        assert_eq!(found.median_m, Some(pair.median_m));
+        assert!(found.samples.is_empty());
+        let options = DepthConsistencyOptions { sample_every: 2, ..Default::default() };
+        let samples = depth_consistency(&[first, second, away], &options).unwrap().samples;
         assert_eq!(samples.len(), 3 * 10 * 8, "every twelfth pixel along each axis");
         for sample in &samples {
             assert!(sample.median_m.is_none_or(|median_m| (median_m - 0.007).abs() < 1e-4), "{sample:?}");
@@ -272,12 +273,12 @@ mod tests {
     }
 
     #[test]
-    fn without_overlap_there_is_no_figure_and_bad_options_are_errors() {
+    fn without_overlap_there_is_no_distance_and_bad_options_are_errors() {
         let camera = plain_camera(24, 18);
         let holes = wall(24, 18, 0.0);
         let views = [view(&holes, &camera); 2];
-        let gaps = depth_consistency(&views, &DepthConsistencyOptions::default()).unwrap();
-        assert_eq!((gaps.pairs.len(), gaps.median_m), (0, None));
+        let found = depth_consistency(&views, &DepthConsistencyOptions::default()).unwrap();
+        assert_eq!((found.pairs.len(), found.median_m), (0, None));
         assert!(depth_consistency(&views, &DepthConsistencyOptions { stride: 0, ..Default::default() }).is_err());
         assert!(
             depth_consistency(&views, &DepthConsistencyOptions { gate_m: f64::NAN, ..Default::default() }).is_err()

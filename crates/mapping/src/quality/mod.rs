@@ -8,7 +8,7 @@ pub use depth_consistency::{
 };
 pub use reference::{DistanceSummary, ReferenceOptions, SCORE_THRESHOLDS_M, SurfaceScore, score_surface};
 
-/// The value below which a share of a list lies; the list is reordered. `None` for an empty list.
+/// The value below which a fraction of a list lies; the list is reordered. `None` for an empty list.
 fn quantile(values: &mut [f32], fraction: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let place = (fraction * last as f64).round() as usize;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use skclam_geometry::Point3;
 
-/// Distances at which shares and F-scores are told, metres.
+/// Distances at which fractions and F-scores are reported, metres.
 pub const SCORE_THRESHOLDS_M: [f64; 3] = [0.005, 0.010, 0.020];
 
 /// Most samples of a surface: more say nothing more.
@@ -30,7 +30,8 @@ pub struct ReferenceOptions {
     pub spacing_m: f64,
     /// Distances beyond this count as this, metres.
     pub limit_m: f64,
-    /// A sample is observed if a view's depth there agrees with it up to this plus four sigma of the depth noise, metres.
+    /// A sample is observed if a view's depth there agrees with it up to this plus four sigma of the depth noise,
+    /// metres.
     pub observed_within_m: f64,
 }
 
@@ -51,7 +52,7 @@ pub struct DistanceSummary {
     pub median_m: f64,
     /// 90th percentile.
     pub p90_m: f64,
-    /// Share of samples within each of [`SCORE_THRESHOLDS_M`].
+    /// Fraction of samples within each of [`SCORE_THRESHOLDS_M`].
     pub within: [f64; 3],
 }
 
@@ -62,9 +63,9 @@ pub struct SurfaceScore {
     pub accuracy: DistanceSummary,
     /// From the observed part of the reference to the map: how much of it is there.
     pub completeness: DistanceSummary,
-    /// Harmonic mean of both shares within each of [`SCORE_THRESHOLDS_M`].
+    /// Harmonic mean of both fractions within each of [`SCORE_THRESHOLDS_M`].
     pub f_score: [f64; 3],
-    /// Share of the reference's samples that some view observed.
+    /// Fraction of the reference's samples that some view observed.
     pub observed: f64,
 }
 

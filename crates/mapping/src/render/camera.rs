@@ -1,14 +1,14 @@
-//! Where a picture is taken from: a pose with a perspective or a parallel projection, and views that frame a map.
+//! Where an image is taken from: a pose with a perspective or a parallel projection, and views that frame a map.
 
 use crate::{Error, Model};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::{Isometry3, PinholeCamera, Point3};
 
-/// Largest edge of a picture, pixels.
+/// Largest edge of an image, pixels.
 const LARGEST_EDGE: u32 = 8192;
 
-/// How space becomes a picture.
+/// How space becomes an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projection {
     /// Through a pinhole.
@@ -18,7 +18,7 @@ pub enum Projection {
     },
     /// Along parallel rays.
     Orthographic {
-        /// Height of what the picture shows, metres.
+        /// Height of what the image shows, metres.
         height_m: f64,
     },
 }
@@ -26,11 +26,11 @@ pub enum Projection {
 /// A viewer: axes x right, y down, z forward, as of any camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RenderCamera {
-    /// Columns of the picture.
+    /// Columns of the image.
     pub width: u32,
-    /// Rows of the picture.
+    /// Rows of the image.
     pub height: u32,
-    /// How space becomes a picture.
+    /// How space becomes an image.
     pub projection: Projection,
     /// The viewer's pose.
     pub base_from_eye: Isometry3,
@@ -40,7 +40,7 @@ pub struct RenderCamera {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ViewPreset {
-    /// Against the x axis: what stands before the robot is nearest.
+    /// Against the x axis: what is in front of the robot is nearest.
     Front,
     /// Along the x axis, from behind the robot.
     Back,
@@ -48,7 +48,7 @@ pub enum ViewPreset {
     Left,
     /// Along the y axis.
     Right,
-    /// From above, x up in the picture.
+    /// From above, x up in the image.
     Top,
     /// From above, the left and the front, parallel projection.
     Isometric,
@@ -57,7 +57,7 @@ pub enum ViewPreset {
 }
 
 impl RenderCamera {
-    /// The picture that a camera takes at a pose, without its distortion and off-centre principal point.
+    /// The image that a camera takes at a pose, without its distortion and off-centre principal point.
     pub fn from_camera(camera: &PinholeCamera, base_from_camera: Isometry3) -> Self {
         RenderCamera {
             width: camera.width,
@@ -67,7 +67,7 @@ impl RenderCamera {
         }
     }
 
-    /// A viewer at `eye` who looks at `target`, the base's z axis upwards in the picture.
+    /// A viewer at `eye` who looks at `target`, the base's z axis upwards in the image.
     pub fn looking_at(eye: Point3, target: Point3, projection: Projection, width: u32, height: u32) -> Self {
         let forward = (target - eye).try_normalize(1e-12).unwrap_or(-Vector3::z());
         // Straight up or down there is no "up": the base's x axis takes its place.

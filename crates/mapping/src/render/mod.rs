@@ -1,9 +1,9 @@
-//! Pictures of a map, drawn on the CPU without a window.
+//! Images of a map, drawn on the CPU without a window.
 //!
 //! Points are drawn as discs of a given radius, triangles by scan conversion, both with a depth buffer at several
 //! samples a pixel. Eye-dome lighting (Boucheny 2009: darken what lies behind its neighbours on the screen) makes depth
-//! readable where there is no other light; normals, where there are any, add a soft light from the viewer. Surfaces that
-//! turn their back to the viewer are left out, so that one can look into a room through its walls.
+//! readable where there is no other light; normals, where there are any, add a soft light from the viewer. Surfaces
+//! that turn their back to the viewer are left out, so that one can look into a closed cell through its walls.
 
 mod camera;
 mod raster;
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BackFaces {
-    /// They are left out: one looks into a room through its walls.
+    /// They are left out: one looks into a closed cell through its walls.
     #[default]
     Hidden,
     /// They are drawn like any other.
@@ -81,7 +81,7 @@ impl RenderOptions {
     }
 }
 
-/// Draws a cloud or a mesh as a camera would see it. An empty map gives an empty picture.
+/// Draws a cloud or a mesh as a camera would see it. An empty map gives an empty image.
 pub fn render(model: &Model, camera: &RenderCamera, options: &RenderOptions) -> Result<RgbImage, Error> {
     options.check()?;
     model.check()?;
@@ -94,7 +94,7 @@ pub fn render(model: &Model, camera: &RenderCamera, options: &RenderOptions) -> 
     Ok(shade::develop(&canvas, &fine, options))
 }
 
-/// Two pictures beside each other, `gap` pixels of the background between them; the lower one is padded at its foot.
+/// Two images beside each other, `gap` pixels of the background between them; the lower one is padded at its foot.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage, gap: u32, background: [u8; 3]) -> RgbImage {
     let height = left.height().max(right.height());
     let mut both = RgbImage::from_pixel(left.width() + gap + right.width(), height, Rgb(background));
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn two_images_stand_beside_each_other() {
+    fn two_images_are_drawn_side_by_side() {
         let both = side_by_side(&RgbImage::new(4, 2), &RgbImage::new(3, 5), 2, [9, 9, 9]);
         assert_eq!(both.dimensions(), (9, 5));
         assert_eq!(both.get_pixel(4, 0).0, [9; 3]);

@@ -1,6 +1,6 @@
 //! Discs and triangles into a depth buffer and a colour buffer.
 //!
-//! The picture is cut into bands of rows, each filled by one thread in the order of the points or triangles; what is
+//! The image is cut into bands of rows, each filled by one thread in the order of the points or triangles; what is
 //! nearer wins and the earlier one wins a tie, so the result does not depend on the number of threads.
 
 use super::{BackFaces, Projection, RenderCamera, RenderOptions};
@@ -12,10 +12,10 @@ use rayon::prelude::*;
 const BAND: usize = 64;
 /// Nearest depth that is drawn, metres.
 const NEAR: f32 = 1e-3;
-/// A disc is never larger than this, pixels: a point at the tip of the viewer's nose shall not cover the picture.
+/// A disc is never larger than this, pixels: a point at the tip of the viewer's nose shall not cover the image.
 const LARGEST_DISC: f32 = 64.0;
 
-/// A picture before lighting.
+/// An image before lighting.
 pub(super) struct Canvas {
     pub(super) width: usize,
     /// Depth along the viewer's axis, metres; infinite where nothing is.

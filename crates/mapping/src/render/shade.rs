@@ -1,4 +1,4 @@
-//! From depth and colour to the picture: eye-dome lighting, then the mean over each pixel's samples.
+//! From depth and colour to the image: eye-dome lighting, then the mean over each pixel's samples.
 
 use super::raster::Canvas;
 use super::{Projection, RenderCamera, RenderOptions};
@@ -6,7 +6,7 @@ use crate::cloud_cell::to_byte;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
-/// Where the neighbours are that can cast a shade, in pixels of the picture; two rings.
+/// Where the neighbours are that can cast a shade, in pixels of the image; two rings.
 const RINGS: [f32; 2] = [1.0, 2.5];
 const DIRECTIONS: [(f32, f32); 8] =
     [(1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7), (-1.0, 0.0), (-0.7, -0.7), (0.0, -1.0), (0.7, -0.7)];
@@ -15,7 +15,7 @@ pub(super) fn develop(canvas: &Canvas, fine: &RenderCamera, options: &RenderOpti
     let factor = options.supersampling as usize;
     let (width, height) = (canvas.width / factor, fine.height as usize / factor);
     // Depth on a scale on which an equal step looks equally deep: logarithmic in perspective; in parallel projection
-    // in units of the picture's height.
+    // in units of the image's height.
     let relief = |z: f32| match fine.projection {
         Projection::Perspective { .. } => z.ln() * 40.0,
         Projection::Orthographic { height_m } => z / height_m as f32 * 40.0,

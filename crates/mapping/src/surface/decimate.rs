@@ -1,8 +1,8 @@
 //! A coarser mesh for collision checking: vertex clustering with quadric placement (Lindstrom 2000).
 //!
-//! All vertices in one cell of a grid whose normals point the same way become one, at the point nearest to the planes of
-//! their triangles, so that flat parts stay flat and edges sharp. Merging vertices cannot tear a surface open, and since
-//! the direction counts, the two sides of a thin wall do not collapse onto each other.
+//! All vertices in one cell of a grid whose normals point the same way become one, at the point nearest to the planes
+//! of their triangles, so that flat parts stay flat and edges sharp. Merging vertices cannot tear a surface open, and
+//! since the direction counts, the two sides of a thin wall do not collapse onto each other.
 
 use super::vertex_normals;
 use crate::voxel::{VoxelKey, VoxelMap};
@@ -10,7 +10,7 @@ use crate::{Error, PointCloud, TriangleMesh};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 
-/// What a cluster gathers, relative to its cell's centre.
+/// What a cluster accumulates, relative to its cell's centre.
 #[derive(Clone)]
 struct Cluster {
     centre: Vector3<f64>,
@@ -18,7 +18,7 @@ struct Cluster {
     color: [u64; 3],
     vertices: u32,
     planes: Matrix3<f64>,
-    pulls: Vector3<f64>,
+    weighted_sum: Vector3<f64>,
 }
 
 /// Merges vertices within cells of `cell_m` metres. Normals are made anew; colours are means.
@@ -45,7 +45,7 @@ pub fn decimate(mesh: &TriangleMesh, cell_m: f64) -> Result<TriangleMesh, Error>
                 color: [0; 3],
                 vertices: 0,
                 planes: Matrix3::zeros(),
-                pulls: Vector3::zeros(),
+                weighted_sum: Vector3::zeros(),
             });
             clusters.len() as u32 - 1
         });
@@ -69,7 +69,7 @@ pub fn decimate(mesh: &TriangleMesh, cell_m: f64) -> Result<TriangleMesh, Error>
             // Planes weighted by squared areas: the volume between the old surface and the new point.
             let cluster = &mut clusters[place as usize];
             cluster.planes += area * area.transpose();
-            cluster.pulls += area * area.dot(&(a - cluster.centre));
+            cluster.weighted_sum += area * area.dot(&(a - cluster.centre));
         }
         let [a, b, c] = merged;
         if a == b || b == c || c == a {
@@ -99,7 +99,7 @@ fn position(cluster: &Cluster, cell_m: f64) -> Vector3<f64> {
     let most = eigen.eigenvalues.amax();
     let mut point = mean;
     if most > 0.0 {
-        let rest = cluster.pulls - cluster.planes * mean;
+        let rest = cluster.weighted_sum - cluster.planes * mean;
         for axis in 0..3 {
             // Directions that the planes hardly determine are left to the mean.
             if eigen.eigenvalues[axis] > 0.02 * most {

@@ -23,7 +23,7 @@ pub(crate) struct VoxelRow {
 const EMPTY: VoxelRow =
     VoxelRow { distance: [0.0; BLOCK_EDGE], weight: [0.0; BLOCK_EDGE], color: [[0; BLOCK_EDGE]; 4] };
 
-/// Voxel `(x, y, z)` stands in row `z * 8 + y`. Its centre lies half a voxel from its corner.
+/// Voxel `(x, y, z)` is in row `z * 8 + y`. Its centre lies half a voxel from its corner.
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub(crate) rows: [VoxelRow; BLOCK_ROWS],

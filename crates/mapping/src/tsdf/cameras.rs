@@ -43,7 +43,7 @@ const WIDE_VOXEL_PX: f32 = 4.0;
 /// Pixels between those that are fused, 1 or 2, by the width of a voxel at the mean depth.
 pub(super) fn thinning(depth: &DepthImage, camera: &PinholeCamera, options: &TsdfOptions) -> usize {
     let (near, far) = (options.filter.min_depth_m as f32, options.filter.max_depth_m as f32);
-    // A sample of the pixels tells the mean well enough.
+    // A sample of the pixels gives the mean well enough.
     let seen = || depth.as_slice().iter().step_by(61).filter(|z| **z > 0.0 && **z >= near && **z <= far);
     let mean = seen().sum::<f32>() / seen().count().max(1) as f32;
     let width_px = options.voxel_m as f32 * camera.fx.min(camera.fy) as f32;

@@ -37,7 +37,8 @@ pub(super) struct Pixel {
 
 const NOTHING: Pixel = Pixel { depth: 0.0, normal: [0.0; 3], offset: 0.0, weight: 0.0, color: [0; 4] };
 
-/// Room for what is made of an image, kept from image to image: asking the system for memory takes as long as the work.
+/// Buffers for what is made of an image, kept from image to image: asking the system for memory takes as long as the
+/// work.
 #[derive(Debug, Default)]
 pub(super) struct FrameBuffers {
     cameras: FrameCameras,

@@ -18,7 +18,7 @@ struct Update<'a> {
     pixels: &'a [Pixel],
     projector: Projector,
     width: i32,
-    /// Where the pixel stands that knows nothing.
+    /// Where the pixel without information is.
     nothing: i32,
     /// From the first voxel of a layer to each of its voxels, x, y, z in the depth camera's frame.
     within_layer: [[f32; LAYER]; 3],
@@ -137,7 +137,8 @@ fn project_layer<const DISTORTED: bool>(update: &Update<'_>, start: Vector3<f32>
     }
 }
 
-/// 1.5 x 2^23. Single precision steps by one around it, so that adding it rounds, and leaves the number in the lowest bits.
+/// 1.5 x 2^23. Single precision steps by one around it, so that adding it rounds, and leaves the number in the lowest
+/// bits.
 const SHIFT: f32 = 12_582_912.0;
 
 /// The whole part of a number of at least 0 and below 2^22 (or one less at a whole number): two instructions, where a
@@ -165,12 +166,12 @@ fn update_row(update: &Update<'_>, pixels: &Row<&Pixel>, depth: &Row, [px, py, p
         // Behind the surface nothing is known.
         let known = (depth[x] > 0.0) & (to_plane >= -truncation) & (along_axis >= -DEEPEST * truncation);
         // Free space counts no more than the nearest truncation, so that rays passing close by an edge into the
-        // distance do not pull it away.
+        // distance do not move it away.
         let free = (to_plane > truncation) | (along_axis > DEEPEST * truncation);
         distance[x] = if free { update.truncation_m } else { to_plane };
         let falling = (to_plane + truncation) / (truncation - update.falloff_m);
-        let share_of_weight = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
-        weight[x] = if known { pixel_weight[x] * share_of_weight } else { 0.0 };
+        let weight_fraction = if !free & (to_plane < -update.falloff_m) { falling } else { 1.0 };
+        weight[x] = if known { pixel_weight[x] * weight_fraction } else { 0.0 };
         near[x] = -i32::from(known & (to_plane.abs() < update.color_reach_m));
         any_weight |= weight[x].to_bits();
         any_near |= near[x];

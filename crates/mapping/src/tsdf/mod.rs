@@ -31,7 +31,7 @@ use frame::{Frame, FrameBuffers};
 use serde::{Deserialize, Serialize};
 use skclam_geometry::PinholeCamera;
 
-/// Whether existing voxels that are seen to be free are pulled towards free.
+/// Whether existing voxels that are observed to be free are moved towards free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpaceCarving {
@@ -78,8 +78,8 @@ impl Default for TsdfOptions {
 }
 
 impl TsdfOptions {
-    /// A voxel that fits a camera at a range: the width of a pixel there, or a third of the depth noise if that is more,
-    /// rounded to half millimetres.
+    /// A voxel that fits a camera at a range: the width of a pixel there, or a third of the depth noise if that is
+    /// more, rounded to half millimetres.
     pub fn voxel_for(camera: &PinholeCamera, range_m: f64, filter: &DepthFilter) -> f64 {
         let pixel_m = range_m / camera.fx.min(camera.fy);
         let wanted = pixel_m.max(filter.noise.sigma(range_m) / 3.0);
@@ -121,7 +121,7 @@ pub struct Integration {
 pub struct Tsdf {
     options: TsdfOptions,
     buffers: FrameBuffers,
-    /// Where a block stands in `blocks`.
+    /// Where a block is in `blocks`.
     index: VoxelMap<u32>,
     keys: Vec<VoxelKey>,
     blocks: BlockStore,

@@ -29,7 +29,7 @@ pub struct Dataset {
 }
 
 /// `$SKCLAM_DATA`, or `../shared/data` beside the repository; `None`, with the reason printed, when it is not there.
-#[allow(dead_code)] // examples are told their folder
+#[allow(dead_code)] // examples are given their folder
 pub fn data_folder(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("SKCLAM_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);

@@ -1,5 +1,5 @@
-//! Recordings with flipped, cut, repeated and inflated bytes: whatever comes, an answer or an error, in bounded time and
-//! memory. How many are tried, and where they begin: see the crate `skclam-damage`, and `just fuzz`.
+//! Recordings with flipped, cut, repeated and inflated bytes: whatever comes, an answer or an error, in bounded time
+//! and memory. How many are tried, and where they begin: see the crate `skclam-damage`, and `just fuzz`.
 
 mod reading;
 mod seeds;

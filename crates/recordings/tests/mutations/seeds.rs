@@ -160,8 +160,8 @@ pub fn bag(compression: &str, messages: &[Message], damage: impl FnOnce(Vec<u8>)
     bytes
 }
 
-/// An MCAP file, of one chunk if there is a compression (which may be ""); `damage` is done to the records before they are
-/// compressed, and the checksum is right.
+/// An MCAP file, of one chunk if there is a compression (which may be ""); `damage` is done to the records before they
+/// are compressed, and the checksum is right.
 pub fn mcap(compression: Option<&str>, messages: &[Message], damage: impl FnOnce(Vec<u8>) -> Vec<u8>) -> Vec<u8> {
     const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, 0x0d, 0x0a];
     fn record(opcode: u8, body: &[u8]) -> Vec<u8> {

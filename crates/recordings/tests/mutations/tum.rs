@@ -17,7 +17,7 @@ pub fn folder() -> Vec<u8> {
     bytes
 }
 
-/// Stands between the files of a [`folder`] folder.
+/// Separates the files of a [`folder`] folder.
 const TUM_CUT: &[u8] = b"\n--8<--\n";
 
 /// Writes the files of a [`folder`] folder; what lost its cut is empty.

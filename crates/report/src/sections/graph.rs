@@ -25,12 +25,12 @@ pub(crate) fn section(run: &RunResult) -> Section {
         None => html += super::NO_DATA,
         Some(data) if data.residuals.pairs.is_empty() => {
             html +=
-                "<p>No matches between images took part: the postures hang together by the board that they saw.</p>\n";
+                "<p>No matches between images took part: the postures are connected by the board that they saw.</p>\n";
         }
         Some(data) => {
             let parts = components(data);
             html += &match parts {
-                0 | 1 => "<p>All postures hang together: from each, every other can be reached over pairs with matches.</p>\n".to_owned(),
+                0 | 1 => "<p>All postures are connected: from each, every other can be reached over pairs with matches.</p>\n".to_owned(),
                 parts => format!(
                     "<p><strong>The postures fall into {parts} groups without matches between them.</strong> What lies between the groups rests on \
                      the joint values alone; record postures that see parts of both.</p>\n"
@@ -105,7 +105,7 @@ fn graph(data: &ReportData) -> Chart {
     Chart {
         id: "overlap-graph",
         caption: format!(
-            "Each dot is a posture, where the camera was ({} against {} of the base frame); lines join postures whose images fraction matches. Dots with few \
+            "Each dot is a posture, where the camera was ({} against {} of the base frame); lines join postures whose images have matches in common. Dots with few \
              lines hang by little.",
             names[across], names[up]
         ),

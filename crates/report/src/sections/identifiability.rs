@@ -1,4 +1,4 @@
-//! What the data cannot tell, why, and what to record to see it.
+//! What is not identifiable, why, and what to record to make it so.
 
 use crate::RunResult;
 use crate::charts::{Digits, Numbers};
@@ -10,11 +10,11 @@ pub(crate) fn section(run: &RunResult) -> Section {
     let numbers = Numbers::of(run);
     let mut html = String::new();
     if run.number("/calibration/rank").is_none() {
-        html += "<p>This estimator (Nelder-Mead, the paper's) tells no covariance and nothing of what the data can see. Run the default preset to know.</p>\n";
+        html += "<p>This estimator (Nelder-Mead, the paper's) gives no covariance and does not analyse identifiability. The default preset does.</p>\n";
     } else {
         html += &format!(
-            "<p>{} of {} combinations of the free parameters are seen by the data. Condition number {}: the best-seen combination is \
-             told so many times more surely than the worst.</p>\n",
+            "<p>{} of {} combinations of the free parameters are identifiable. Condition number {}: the best-determined combination is \
+             determined so many times more precisely than the worst.</p>\n",
             numbers.show("/calibration/rank", Digits::Whole),
             numbers.show("/calibration/free", Digits::Whole),
             numbers.show("/calibration/condition_number", Digits::Significant(3)),
@@ -26,7 +26,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
             .map(|reason| vec![escaped(reason), escaped(&advice(reason))])
             .collect();
         html += &if reasons.is_empty() {
-            "<p>Nothing among the free parameters is beyond the data.</p>\n".to_owned()
+            "<p>All free parameters are identifiable.</p>\n".to_owned()
         } else {
             table("words", "Not identifiable: held by the priors, not by the data", &["What", "What to do"], &reasons)
         };
@@ -41,18 +41,18 @@ pub(crate) fn section(run: &RunResult) -> Section {
         let head: Vec<&str> = std::iter::once("Index").chain(names).collect();
         html += &table("numbers", "Observability indices (greater is better)", &head, &[row]);
     }
-    Section { id: "unseen", title: "What the data cannot tell", html, charts: Vec::new() }
+    Section { id: "identifiability", title: "Identifiability", html, charts: Vec::new() }
 }
 
-/// What `auto` holds because no posture can tell it.
-const GAUGE: &str = "<p>Held at nominal, because no image can tell: where the base stands (a turn about and a shift along axis 1), and how the flange is turned about and \
+/// What `auto` holds because no posture makes it identifiable.
+const GAUGE: &str = "<p>Held at nominal, because not identifiable from images: where the base is (a rotation about and a shift along axis 1), and how the flange is turned about and \
      shifted along the last axis, which is one with the mount. Camera poses and the map do not depend on the second; the flange's poses, an exported tool frame \
      and compensated targets are only as right as the nominal values there. Measure them by other means if they matter.</p>\n";
 
-/// What to record, or to give, so that the data tell it. The sentences of the estimator name the cause.
+/// What to record, or to give, so that it becomes identifiable. The sentences of the estimator name the cause.
 fn advice(reason: &str) -> String {
     let advice = if reason.contains("moves the base") {
-        "Nothing recorded by the camera can tell; measure the base's place by other means, or leave it."
+        "No recording of the camera determines it; measure the base's place by other means, or leave it."
     } else if reason.contains("are one ") && reason.contains("mount") {
         "Nothing to record: only the sum of both matters. Hold one of the two (--free without it)."
     } else if reason.contains("scale is not observable") {
@@ -76,12 +76,13 @@ mod tests {
         // The sentences of skclam-calibration's identifiability.
         let of = |text: &str| advice(text);
         assert!(
-            of("theta_offset_1 moves the base and the whole world with it: no image can tell").contains("other means")
+            of("theta_offset_1 moves the base and the whole world with it: not identifiable from images")
+                .contains("other means")
         );
         assert!(of("d_6 and the mount (mount_z) are one length").contains("the sum"));
         assert!(of("the scale is not observable: no depth, no board, no fixed length; ...").contains("known length"));
-        assert!(of("joint 3 moved by only 2.0 deg: alpha_3 cannot be told apart").contains("this joint turns"));
+        assert!(of("joint 3 moved by only 2.0 deg: alpha_3 cannot be separated").contains("this joint turns"));
         assert!(of("d_2 and d_3 lie along parallel axes: they are one length").contains("hold one"));
-        assert!(of("the postures do not tell a_2, a_3 apart").contains("more postures"));
+        assert!(of("the postures do not separate a_2, a_3").contains("more postures"));
     }
 }

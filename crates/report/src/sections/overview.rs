@@ -1,4 +1,4 @@
-//! The first screen: verdict, traffic status, the metrics that matter, the map in 3D.
+//! The first screen: verdict, status, the metrics that matter, the map in 3D.
 
 use crate::RunResult;
 use crate::charts::{Digits, Numbers};
@@ -38,7 +38,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
     Section { id: "verdict", title: "Verdict", html, charts: Vec::new() }
 }
 
-/// A picture beside the word: a tick in a circle, a sign with an exclamation mark, a cross in an octagon.
+/// An icon beside the word: a tick in a circle, a sign with an exclamation mark, a cross in an octagon.
 fn shape(status: Status) -> &'static str {
     match status {
         Status::Green => {
@@ -61,8 +61,8 @@ fn tiles(run: &RunResult) -> String {
     let mut out = String::from("<dl class=\"tiles\">\n");
     // Without pairs (a board alone) there are no lines to be far from.
     let fits = [
-        ("Matches to their lines", "epipolar", "median_px", "median distance, nominal to calibrated"),
-        ("Points to where they were seen", "reprojection", "rms_px", "reprojection, RMS, nominal to calibrated"),
+        ("Epipolar distance", "epipolar", "median_px", "median distance, nominal to calibrated"),
+        ("Reprojection error", "reprojection", "rms_px", "RMS, nominal to calibrated"),
     ];
     let pointer = |kind: &str, which: &str, field: &str| format!("/calibration/{kind}_{which}/{field}");
     let fit = fits.iter().find(|(_, kind, field, _)| run.number(&pointer(kind, "after", field)).is_some());
@@ -83,10 +83,14 @@ fn tiles(run: &RunResult) -> String {
         }),
     );
     out += &tile(
-        "Depth surfaces apart",
-        match run.number("/map/agreement_calibrated/median_mm") {
-            Some(_) => numbers.change("/map/agreement_nominal/median_mm", "/map/agreement_calibrated/median_mm", "mm"),
-            None => numbers.show("/map/agreement_calibrated/median_mm", Digits::Whole),
+        "Depth consistency",
+        match run.number("/map/depth_consistency_calibrated/median_mm") {
+            Some(_) => numbers.change(
+                "/map/depth_consistency_nominal/median_mm",
+                "/map/depth_consistency_calibrated/median_mm",
+                "mm",
+            ),
+            None => numbers.show("/map/depth_consistency_calibrated/median_mm", Digits::Whole),
         },
         "median distance, nominal to calibrated",
     );
@@ -115,13 +119,13 @@ fn scene(run: &RunResult) -> String {
         "<fieldset><legend>Colour</legend>{}{}{}</fieldset>",
         choice("color", "photo", "Photograph", true),
         choice("color", "image", "Image", false),
-        choice("color", "gap", "Disagreement", false)
+        choice("color", "distance", "Depth consistency", false)
     );
     let (title, what) = if map {
         (
             "The map",
             "Points of all depth images, put together by the poses of the nominal or of the calibrated rig. Where surfaces are double or \
-             blurred, the poses are wrong. Disagreement: median distance of a point to the surfaces of the other images that show it.",
+             blurred, the poses are wrong. Depth consistency: median distance of a point to the surfaces of the other images that show it.",
         )
     } else {
         (

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let html = format!("{}{}{}{}", warnings(run), filters(run), solver(run), stages(run));
-    Section { id: "process", title: "How it went", html, charts: Vec::new() }
+    Section { id: "process", title: "Run details", html, charts: Vec::new() }
 }
 
 fn warnings(run: &RunResult) -> String {
@@ -53,7 +53,7 @@ fn filters(run: &RunResult) -> String {
         ("observations of tracks", "/counts/observations"),
         ("positions refined to a fraction of a pixel", "/tracks/refined"),
         ("positions rejected by the refinement", "/tracks/rejected"),
-        ("links that contradicted a track", "/tracks/links/conflicts"),
+        ("links that conflicted with a track", "/tracks/links/conflicts"),
     ] {
         if run.number(pointer).is_some() {
             rows.push(vec![name.to_owned(), numbers.show(pointer, Digits::Whole), String::new()]);
@@ -61,11 +61,11 @@ fn filters(run: &RunResult) -> String {
     }
     let mut html = format!(
         "<h3>Filters</h3>\n{}",
-        table("numbers bars", "What each step left, summed over all pairs", &["Step", "Left", "Share"], &rows)
+        table("numbers bars", "What each step left, summed over all pairs", &["Step", "Left", "Fraction"], &rows)
     );
     if run.number("/ego_mask/dropped_keypoints").is_some_and(|dropped| dropped > 0.0) {
         html += &format!(
-            "<p>{} keypoints on what moves with the camera were left out ({}&nbsp;of the image, as a share of 1).</p>\n",
+            "<p>{} keypoints on what moves with the camera were left out ({}&nbsp;of the image, as a fraction of 1).</p>\n",
             numbers.show("/ego_mask/dropped_keypoints", Digits::Whole),
             numbers.show("/ego_mask/masked_fraction", Digits::Decimals(2)),
         );
@@ -88,8 +88,8 @@ fn solver(run: &RunResult) -> String {
         ("Cost at the end, by the last", "/calibration/termination/final_cost", Digits::Significant(4), ""),
         ("Noise of pixels, times their own sigmas", "/calibration/pixel_sigma", Digits::Significant(3), ""),
         ("Noise of a depth, sigma / depth\u{b2}", "/calibration/depth_sigma_per_m2", Digits::Significant(3), "1/m"),
-        ("Noise of the joints, sigma", "/calibration/joint_deviation_sigma_deg", Digits::Significant(3), "deg"),
-        ("Share of correspondences that do not fit", "/calibration/outlier_fraction", Digits::Significant(3), ""),
+        ("Noise of the joints, sigma", "/calibration/joint_error_sigma_deg", Digits::Significant(3), "deg"),
+        ("Fraction of correspondences that do not fit", "/calibration/outlier_fraction", Digits::Significant(3), ""),
     ];
     let rows: Vec<Vec<String>> = rows
         .into_iter()
@@ -98,7 +98,7 @@ fn solver(run: &RunResult) -> String {
     format!(
         "<h3>Solver</h3>\n<p>The solver {}.</p>\n{}",
         escaped(run.text("/calibration/ended")),
-        table("numbers", "The estimate", &["Figure", "Value", "Unit"], &rows)
+        table("numbers", "The estimate", &["Metric", "Value", "Unit"], &rows)
     )
 }
 
@@ -128,7 +128,7 @@ fn stages(run: &RunResult) -> String {
         table(
             "numbers bars",
             "Time by stage; CPU time is summed over all threads",
-            &["Stage", "Steps", "Time (s)", "CPU time (s)", "Share"],
+            &["Stage", "Steps", "Time (s)", "CPU time (s)", "Fraction"],
             &rows
         ),
         numbers.with_unit("/peak_memory_mib", Digits::Whole, "MiB")

@@ -22,7 +22,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
                 charts.push(chart);
             };
             // Results of programs that did not yet sum up observations have none without matches.
-            if data.residuals.postures.iter().any(|posture| posture.ends > 0) {
+            if data.residuals.postures.iter().any(|posture| posture.endpoints > 0) {
                 add(histogram(&data.residuals.histogram, data.residuals.distances), &mut html);
                 add(by_posture(data), &mut html);
             }
@@ -72,8 +72,11 @@ fn metrics(run: &RunResult) -> String {
     }
     let held_out = format!("Held out: {}", escaped(run.text("/held_out/metric")));
     row(&held_out, "px", "/held_out/metric_px/nominal", "/held_out/metric_px/calibrated");
-    for (name, field) in [("Depth surfaces apart, median", "median_mm"), ("Depth surfaces apart, 90 %", "p90_mm")] {
-        let pointer = |which: &str| format!("/map/agreement_{which}/{field}");
+    for (name, field) in [
+        ("Depth consistency, point to plane, median", "median_mm"),
+        ("Depth consistency, point to plane, 90 %", "p90_mm"),
+    ] {
+        let pointer = |which: &str| format!("/map/depth_consistency_{which}/{field}");
         row(name, "mm", &pointer("nominal"), &pointer("calibrated"));
     }
     let mut html = table(
@@ -99,7 +102,7 @@ fn by_fold(run: &RunResult) -> Option<Chart> {
         Some(format!("{}\u{2013}{}", indices.first()?, indices.last()?))
     };
     let names: Vec<String> = folds.iter().map(|fold| name(fold).unwrap_or_default()).collect();
-    // Points and no bars: a logarithmic axis has no zero for a bar to stand on.
+    // Points and no bars: a logarithmic axis has no zero for a bar to start from.
     let trace = |label: &str, field: &str, color: &str, symbol: &str| {
         let y: Vec<Option<f64>> = folds.iter().map(|fold| fold["metric_px"][field].as_f64()).collect();
         y.iter().any(Option::is_some).then(|| {
@@ -173,7 +176,7 @@ fn histogram(histogram: &Histogram, kind: ResidualKind) -> Chart {
         ]),
         layout: json!({
             "xaxis": {"type": "log", "title": {"text": format!("distance to {} (px)", aim(kind))}, "exponentformat": "none", "dtick": 1},
-            "yaxis": {"title": {"text": "share (%)"}, "rangemode": "tozero"},
+            "yaxis": {"title": {"text": "fraction (%)"}, "rangemode": "tozero"},
         }),
         height: 320,
         max_width: None,
@@ -189,10 +192,10 @@ fn aim(kind: ResidualKind) -> &'static str {
 }
 
 fn by_posture(data: &ReportData) -> Chart {
-    let seen: Vec<usize> = (0..data.postures.len()).filter(|&at| data.residuals.postures[at].ends > 0).collect();
-    let x: Vec<u64> = seen.iter().map(|&at| data.postures[at].index).collect();
+    let used: Vec<usize> = (0..data.postures.len()).filter(|&at| data.residuals.postures[at].endpoints > 0).collect();
+    let x: Vec<u64> = used.iter().map(|&at| data.postures[at].index).collect();
     let trace = |name: &str, color: &str, symbol: &str, of: &dyn Fn(usize) -> (f64, f64)| {
-        let values: Vec<(f64, f64)> = seen.iter().map(|&at| of(at)).collect();
+        let values: Vec<(f64, f64)> = used.iter().map(|&at| of(at)).collect();
         json!({
             "type": "scatter", "mode": "markers", "name": name, "x": x,
             "y": values.iter().map(|(median, _)| *median).collect::<Vec<_>>(),
@@ -206,7 +209,7 @@ fn by_posture(data: &ReportData) -> Chart {
         })
     };
     let residuals = &data.residuals.postures;
-    let pair = |ends: &skclam::report_data::Ends| (ends.median_px, ends.p90_px);
+    let pair = |quantiles: &skclam::report_data::ResidualQuantiles| (quantiles.median_px, quantiles.p90_px);
     Chart {
         id: "by-posture",
         caption: format!(
@@ -245,7 +248,7 @@ fn arrows(
     let usual = lengths.get(lengths.len() * 9 / 10).copied().unwrap_or_default();
     let scale = magnification(cell / usual.max(1e-9));
     let (mut x, mut y) = (Vec::<Value>::new(), Vec::<Value>::new());
-    let (mut tip_x, mut tip_y, mut angles, mut told) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut tip_x, mut tip_y, mut angles, mut labels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for found in cells {
         let ([cx, cy], [dx, dy]) = (found.center_px, of(found));
         let (ex, ey) = (cx + scale * dx, cy + scale * dy);
@@ -255,13 +258,13 @@ fn arrows(
         tip_y.push(round(ey));
         // Of a marker, clockwise from up; rows grow downwards.
         angles.push(round(dx.atan2(-dy).to_degrees()));
-        told.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
+        labels.push(format!("{:.3} px right, {:.3} px down; {} residuals", dx, dy, found.count));
     }
     let factor = crate::charts::number(scale, Digits::Significant(1));
     Chart {
         id,
         caption: format!(
-            "{}{}: median way from {} to where it was seen, drawn {factor} times as long; the longest is {} px.",
+            "{}{}: median offset from {} to where it was observed, drawn {factor} times as long; the longest is {} px.",
             name[..1].to_uppercase(),
             &name[1..],
             match data.residuals.arrows {
@@ -273,7 +276,7 @@ fn arrows(
         description: format!("Arrows of the median residual over the image, {name}"),
         data: json!([
             {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": {"color": color, "width": 1.5}, "hoverinfo": "skip", "showlegend": false},
-            {"type": "scatter", "mode": "markers", "x": tip_x, "y": tip_y, "text": told, "showlegend": false,
+            {"type": "scatter", "mode": "markers", "x": tip_x, "y": tip_y, "text": labels, "showlegend": false,
              "marker": {"color": color, "symbol": "arrow", "size": 6, "angle": angles}, "hovertemplate": "%{text}<extra></extra>"},
         ]),
         layout: json!({
@@ -306,10 +309,10 @@ fn round(value: f64) -> f64 {
 
 fn by_joint(data: &ReportData) -> Option<Chart> {
     let joints = data.joints.len();
-    let seen: Vec<usize> = (0..data.postures.len())
-        .filter(|&at| data.residuals.postures[at].ends > 0 && data.postures[at].joints.len() == joints)
+    let used: Vec<usize> = (0..data.postures.len())
+        .filter(|&at| data.residuals.postures[at].endpoints > 0 && data.postures[at].joints.len() == joints)
         .collect();
-    if joints == 0 || seen.is_empty() {
+    if joints == 0 || used.is_empty() {
         return None;
     }
     let columns = joints.min(3);
@@ -320,7 +323,7 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
     });
     for (joint, named) in data.joints.iter().enumerate() {
         let suffix = if joint == 0 { String::new() } else { (joint + 1).to_string() };
-        let x: Vec<f64> = seen.iter().map(|&at| data.postures[at].joints[joint]).collect();
+        let x: Vec<f64> = used.iter().map(|&at| data.postures[at].joints[joint]).collect();
         let mut trace = |name: &str, color: &str, symbol: &str, y: Vec<f64>| {
             traces.push(json!({
                 "type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "showlegend": joint == 0,
@@ -330,8 +333,8 @@ fn by_joint(data: &ReportData) -> Option<Chart> {
             }));
         };
         let residuals = &data.residuals.postures;
-        trace("nominal", NOMINAL, "diamond-open", seen.iter().map(|&at| residuals[at].before.median_px).collect());
-        trace("calibrated", CALIBRATED, "circle", seen.iter().map(|&at| residuals[at].after.median_px).collect());
+        trace("nominal", NOMINAL, "diamond-open", used.iter().map(|&at| residuals[at].before.median_px).collect());
+        trace("calibrated", CALIBRATED, "circle", used.iter().map(|&at| residuals[at].after.median_px).collect());
         // plotly.js reads a little markup in titles.
         let title = format!("joint {}: {} ({})", joint + 1, escaped(&named.name), escaped(&named.unit));
         layout[format!("xaxis{suffix}")] = json!({"title": {"text": title, "standoff": 4}});

@@ -7,9 +7,9 @@ use crate::page::Section;
 use serde_json::json;
 use skclam::pipeline::{PoseSigma, PostureSource};
 
-/// From this correlation on two parameters are named as hardly told apart.
+/// From this correlation on two parameters are named as hardly separable.
 const STRONG: f64 = 0.9;
-/// Pairs that are named at the most.
+/// Pairs that are named at most.
 const NAMED: usize = 12;
 
 pub(crate) fn section(run: &RunResult) -> Section {
@@ -35,7 +35,7 @@ pub(crate) fn section(run: &RunResult) -> Section {
             charts.push(chart);
             html += &strongest(&names, matrix);
         }
-        None => html += "<p class=\"none\">Not measured: this estimator tells no covariance.</p>\n",
+        None => html += "<p class=\"none\">Not measured: this estimator gives no covariance.</p>\n",
     }
     Section { id: "uncertainty", title: "Uncertainty", html, charts }
 }
@@ -70,7 +70,7 @@ fn pose_metrics(run: &RunResult) -> String {
         }
     }
     if rows.is_empty() {
-        return "<p class=\"none\">Not measured: this estimator tells no covariance.</p>\n".to_owned();
+        return "<p class=\"none\">Not measured: this estimator gives no covariance.</p>\n".to_owned();
     }
     table(
         "numbers",
@@ -138,7 +138,7 @@ fn heat_map(names: &[String], matrix: &[Vec<f64>]) -> Chart {
     let names: Vec<String> = names.iter().map(|name| escaped(name)).collect();
     Chart {
         id: "correlations",
-        caption: "Correlations of the estimated parameters: blue and orange far from 0 mean that the data tell only the sum or the difference well.".to_owned(),
+        caption: "Correlations of the estimated parameters: blue and orange far from 0 mean that the data determine only the sum or the difference well.".to_owned(),
         description: format!("Heat map of the correlations between {} parameters", names.len()),
         data: json!([{
             "type": "heatmap", "x": names, "y": names, "z": matrix, "zmin": -1, "zmax": 1, "xgap": 1, "ygap": 1,
@@ -174,7 +174,7 @@ fn strongest(names: &[String], matrix: &[Vec<f64>]) -> String {
         .collect();
     table(
         "numbers",
-        &format!("Parameters that the data hardly tell apart (correlation {STRONG} or more)"),
+        &format!("Parameters that the data hardly separate (correlation {STRONG} or more)"),
         &["Parameters", "Correlation"],
         &rows,
     )

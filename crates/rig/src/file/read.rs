@@ -10,19 +10,19 @@ use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
 use skclam_kinematics::{Joint, JointKind, KinematicsError, Link, LinkForm, SerialChain, chain_from_urdf, urdf_ends};
 use std::path::Path;
 
-/// The smallest length above 0 that is believed, millimetres.
+/// The smallest length above 0 that is accepted, millimetres.
 const MIN_MM: f64 = 1e-6;
-/// The largest length that is believed, millimetres: a kilometre.
+/// The largest length that is accepted, millimetres: a kilometre.
 const MAX_MM: f64 = 1e6;
-/// The largest angle that is believed, degrees.
+/// The largest angle that is accepted, degrees.
 const MAX_DEG: f64 = 1e5;
-/// The largest image side that is believed, pixels.
+/// The largest image side that is accepted, pixels.
 const MAX_SIDE: u32 = 32_768;
 /// The most pixels of an image; what is made of one takes some tens of bytes for each.
 const MAX_PIXELS: u64 = 1 << 27;
-/// Focal lengths that are believed, in widths of the image: fields of view from 179 deg to 0.06 deg.
+/// Focal lengths that are accepted, in widths of the image: fields of view from 179 deg to 0.06 deg.
 const FOCAL_WIDTHS: [f64; 2] = [0.005, 1000.0];
-/// Lengths of a count of a depth image that are believed, millimetres.
+/// Lengths of a count of a depth image that are accepted, millimetres.
 const UNIT_MM: [f64; 2] = [1e-3, 100.0];
 
 /// The reader of one file.
@@ -158,11 +158,12 @@ impl Reader<'_> {
             .map_err(|error: KinematicsError| self.value("robot", error.to_string()))
     }
 
-    /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one choice.
+    /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one
+    /// choice.
     fn urdf(&self, table: RobotTable) -> Result<SerialChain, RigFileError> {
         if table.convention.is_some() || !table.joint.is_empty() {
             return Err(
-                self.value("robot.urdf", "stands beside convention or [[robot.joint]]; describe the arm in one way")
+                self.value("robot.urdf", "is given beside convention or [[robot.joint]]; describe the arm in one way")
             );
         }
         if table.base_from_first.is_some() || table.last_from_flange.is_some() {
@@ -209,7 +210,7 @@ impl Reader<'_> {
                 return Err(self.value(key("d_mm"), "is missing; give d_mm (DH), or beta_deg in its place (Hayati)"));
             }
             (Some(_), Some(_)) => {
-                return Err(self.value(key("beta_deg"), "stands beside d_mm; a joint has one or the other"));
+                return Err(self.value(key("beta_deg"), "is given beside d_mm; a joint has one or the other"));
             }
         };
         let limits = match (table.kind, table.limits_deg, table.limits_mm) {
@@ -322,7 +323,7 @@ impl Reader<'_> {
                     );
                 }
                 if marker_mm >= table.square_mm {
-                    return Err(self.value("board.marker_mm", "a marker is smaller than the square it stands in"));
+                    return Err(self.value("board.marker_mm", "a marker is smaller than the square around it"));
                 }
                 BoardPattern::Charuco { dictionary, marker_um }
             }

@@ -1,4 +1,4 @@
-//! The tables of `rig.toml` as they stand in the file: degrees and millimetres, every key with its unit.
+//! The tables of `rig.toml` as they are in the file: degrees and millimetres, every key with its unit.
 
 use crate::Prior;
 use crate::corrections_table::CorrectionsTable;

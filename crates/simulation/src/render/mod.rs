@@ -364,7 +364,7 @@ mod tests {
             let height = 1.0 - 2.0 * (f64::from(index) + 0.5) / 400.0;
             let radius = (1.0 - height * height).sqrt();
             let way = Vector3::new(radius * angle.cos(), radius * angle.sin(), height);
-            let hit = scene.caster().first_hit(&Point3::new(0.1, 0.05, 0.55), &way, 10.0).expect("the room is closed");
+            let hit = scene.caster().first_hit(&Point3::new(0.1, 0.05, 0.55), &way, 10.0).expect("the cell is closed");
             assert!(scene.model.faces[hit.face as usize].normal.dot(&way) < 0.0, "a face shows its back");
         }
         let again = small_scene();

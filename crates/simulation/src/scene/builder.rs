@@ -29,7 +29,7 @@ enum Shape {
 }
 
 impl Sheet {
-    /// Point and outward normal at a place given in shares of width and height.
+    /// Point and outward normal at a place given in fractions of width and height.
     fn at(&self, u: f64, v: f64) -> (Point3, Vector3<f64>) {
         match self.shape {
             Shape::Flat { corner, right, down, normal } => {
@@ -54,7 +54,7 @@ pub(crate) struct CuboidMaterials {
 
 impl CuboidMaterials {
     /// All sides and the top alike, nothing below.
-    pub fn standing(material: Material) -> Self {
+    pub fn freestanding(material: Material) -> Self {
         CuboidMaterials { top: Some(material), bottom: None, sides: [Some(material); 4] }
     }
 

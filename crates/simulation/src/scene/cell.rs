@@ -1,6 +1,6 @@
 //! The furniture of the cell: a room around a table-top arm at the origin, drawn from a seed.
 //!
-//! The table's top is at z = 0. Benches, shelves, cabinets, cartons, pipes and paper stand and hang all around, at
+//! The table's top is at z = 0. Benches, shelves, cabinets, cartons, pipes and paper are all around, at
 //! 0.5 to 2.5 m from a camera on the wrist: epipolar geometry needs depth, and matches need things to look at.
 
 use super::builder::{Builder, CuboidMaterials};
@@ -41,7 +41,7 @@ pub(crate) fn furnish(builder: &mut Builder, seed: u64) {
         bench(builder, &mut rng, &frame, half, side);
     }
     corners(builder, &mut rng);
-    standing(builder, &mut rng);
+    floor_items(builder, &mut rng);
 }
 
 fn room(builder: &mut Builder) {
@@ -105,9 +105,9 @@ fn table(builder: &mut Builder, rng: &mut SceneRng) {
                 let (bottom, top) = (Point3::new(x, y, 0.0), Point3::new(x, y, size[2]));
                 builder.cylinder(bottom, top, radius, Material::Steel, [None, Some(Material::Steel)]);
             }
-            1 => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::standing(Material::Steel)),
-            2 => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::standing(lacquer(rng))),
-            _ => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::standing(Material::Cardboard)),
+            1 => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::freestanding(Material::Steel)),
+            2 => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::freestanding(lacquer(rng))),
+            _ => builder.cuboid(&upright(x, y, 0.0, yaw), size, &CuboidMaterials::freestanding(Material::Cardboard)),
         }
         angle += rng.range(0.28, 0.5);
     }
@@ -195,7 +195,7 @@ fn books(builder: &mut Builder, rng: &mut SceneRng, frame: &Isometry3, range: (f
         let size = [thickness - 0.002, rng.range(0.11, 0.15), rng.range(0.17, 0.3)];
         let lean = if rng.chance(0.1) { rng.range(-0.1, 0.1) } else { 0.0 };
         let place = frame * upright(x + 0.5 * thickness, y, z, lean * 0.5);
-        builder.cuboid(&place, size, &CuboidMaterials::standing(Material::Spine));
+        builder.cuboid(&place, size, &CuboidMaterials::freestanding(Material::Spine));
         x += thickness + if rng.chance(0.12) { rng.range(0.02, 0.08) } else { 0.0 };
     }
 }
@@ -231,7 +231,7 @@ fn bench(builder: &mut Builder, rng: &mut SceneRng, frame: &Isometry3, half: f64
             for drawer in 0..drawers {
                 let z = FLOOR_Z + 0.06 + height * drawer as f64;
                 let inset = rng.range(0.0, 0.03);
-                let materials = CuboidMaterials::standing(front);
+                let materials = CuboidMaterials::freestanding(front);
                 builder.cuboid(
                     &place(middle, 0.5 * (depth - 0.06) - inset, z + 0.006, 0.0),
                     [bay - 0.03, depth - 0.08, height - 0.012],
@@ -248,7 +248,7 @@ fn bench(builder: &mut Builder, rng: &mut SceneRng, frame: &Isometry3, half: f64
                 builder.cuboid(
                     &place(middle, rng.range(0.24, 0.34), z, yaw),
                     size,
-                    &CuboidMaterials::standing(material),
+                    &CuboidMaterials::freestanding(material),
                 );
                 z += size[2];
                 if rng.chance(0.3) {
@@ -274,7 +274,7 @@ fn bench_top(builder: &mut Builder, rng: &mut SceneRng, frame: &Isometry3, range
                 let mut size = [0.9 * width, rng.range(0.14, 0.28), rng.range(0.1, 0.26)];
                 for _ in 0..1 + rng.below(2) {
                     let place = frame * upright(middle, y, z, rng.range(-0.3, 0.3));
-                    builder.cuboid(&place, size, &CuboidMaterials::standing(Material::Cardboard));
+                    builder.cuboid(&place, size, &CuboidMaterials::freestanding(Material::Cardboard));
                     z += size[2];
                     size = [0.75 * size[0], 0.8 * size[1], rng.range(0.07, 0.16)];
                 }
@@ -325,7 +325,7 @@ fn corners(builder: &mut Builder, rng: &mut SceneRng) {
         match index {
             0 | 2 => {
                 // A cabinet.
-                let materials = CuboidMaterials::standing(lacquer(rng));
+                let materials = CuboidMaterials::freestanding(lacquer(rng));
                 builder.cuboid(&upright(x, y, FLOOR_Z, 0.0), [0.44, 0.44, rng.range(1.35, 1.7)], &materials);
             }
             1 => {
@@ -347,7 +347,7 @@ fn corners(builder: &mut Builder, rng: &mut SceneRng) {
                     builder.cuboid(
                         &upright(x, y, z, rng.range(-0.25, 0.25)),
                         size,
-                        &CuboidMaterials::standing(material),
+                        &CuboidMaterials::freestanding(material),
                     );
                     z += size[2];
                 }
@@ -356,8 +356,8 @@ fn corners(builder: &mut Builder, rng: &mut SceneRng) {
     }
 }
 
-/// Things that stand in the room between the table and the benches: depth, and something to see beyond.
-fn standing(builder: &mut Builder, rng: &mut SceneRng) {
+/// Things on the floor between the table and the benches: depth, and something to see beyond.
+fn floor_items(builder: &mut Builder, rng: &mut SceneRng) {
     let places = 9;
     for place in 0..places {
         let angle = std::f64::consts::TAU * (place as f64 + rng.range(0.2, 0.8)) / places as f64;
@@ -366,7 +366,7 @@ fn standing(builder: &mut Builder, rng: &mut SceneRng) {
         let yaw = angle + rng.range(-0.4, 0.4);
         match rng.below(5) {
             0 => {
-                // A stand with an instrument on a pole.
+                // A tripod with an instrument on a pole.
                 let height = rng.range(0.75, 1.0);
                 let (bottom, top) = (Point3::new(x, y, FLOOR_Z), Point3::new(x, y, FLOOR_Z + height));
                 builder.cylinder(bottom, top, 0.02, Material::Steel, [None, None]);
@@ -396,7 +396,7 @@ fn standing(builder: &mut Builder, rng: &mut SceneRng) {
                     builder.cuboid(
                         &upright(x, y, z, yaw + rng.range(-0.2, 0.2)),
                         size,
-                        &CuboidMaterials::standing(material),
+                        &CuboidMaterials::freestanding(material),
                     );
                     z += size[2];
                 }

@@ -49,7 +49,7 @@ pub(crate) fn light_at(caster: &RayCaster, point: &Point3, normal: &Vector3<f64>
         if normal.z.abs() < 0.9 { normal.cross(&Vector3::z()) } else { normal.cross(&Vector3::x()) }.normalize();
     let other = normal.cross(&sideways);
     let (mut open, mut total, mut touched) = (0.0, 0.0, 0);
-    // Directions of equal share of a cosine-weighted hemisphere, on a golden spiral.
+    // Directions of equal weight in a cosine-weighted hemisphere, on a golden spiral.
     const RAYS: u32 = 16;
     for ray in 0..RAYS {
         let radius = ((f64::from(ray) + 0.5) / f64::from(RAYS)).sqrt();

@@ -1,4 +1,4 @@
-//! What people print, stick and write on things: pictures, charts, drawings, labels, lines of text.
+//! What people print, stick and write on things: photographs, charts, drawings, labels, lines of text.
 //!
 //! Letters are random strokes on a small grid: they look like writing, and no two words are the same.
 
@@ -32,7 +32,7 @@ impl Patch {
         }
     }
 
-    /// Splits at a share of the height.
+    /// Splits at a fraction of the height.
     pub fn split_rows(self, fraction: f32) -> (Self, Self) {
         let upper = self.height * fraction;
         (Patch { height: upper, ..self }, Patch { y: self.y + upper, height: self.height - upper, ..self })
@@ -157,7 +157,7 @@ pub(crate) fn print_image(canvas: &mut Canvas, rng: &mut SceneRng, patch: Patch)
         for (texel, value) in canvas.texels[row * canvas.width + columns.0..].iter_mut().zip(&noise) {
             let level = ((value + slope) * 1.5 + 2.5).clamp(0.0, 4.999);
             let (low, fraction) = (level as usize, level.fract());
-            // Sharp borders between tones with a soft share of shading.
+            // Sharp borders between tones with some soft shading.
             let blend = soft * fraction + (1.0 - soft) * ((fraction - 0.9) * 10.0).max(0.0);
             let (a, b) = (tones[low], tones[low + 1]);
             for channel in 0..3 {

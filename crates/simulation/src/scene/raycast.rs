@@ -163,7 +163,7 @@ fn build(nodes: &mut Vec<Node>, triangles: &mut [Prepared], first: usize) {
             high = high.sup(&position);
         }
     }
-    // A hair of room, so that flat boxes are met despite rounding.
+    // A small margin, so that flat boxes are met despite rounding.
     let (low, high) = (low.add_scalar(-1e-9), high.add_scalar(1e-9));
     let index = nodes.len();
     nodes.push(Node { low, high, next: first as u32, count: triangles.len() as u32 });

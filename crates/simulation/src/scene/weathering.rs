@@ -1,4 +1,4 @@
-//! Ground and wear that all materials share: noise of many scales, patches, specks, scratches, cracks.
+//! Ground and weathering that all materials have: noise of many scales, patches, specks, scratches, cracks.
 
 use super::canvas::{Canvas, Colour};
 use super::lattice::add_octaves;
@@ -11,7 +11,7 @@ pub(crate) struct Mottle {
     pub coarsest_m: f32,
     pub amplitude: f32,
     pub gain: f32,
-    /// How strongly patches of another tone stand out, grey levels.
+    /// How strongly patches of another tone differ, grey levels.
     pub patches: f32,
 }
 

@@ -1,6 +1,6 @@
 //! Targets for a controller that accepts no parameters: what to command so that the true arm goes where it should.
 //!
-//! A target is a flange pose, or joint values that stand for the pose that the nominal arm has there. Inverse kinematics
+//! A target is a flange pose, or joint values that mean the pose that the nominal arm has there. Inverse kinematics
 //! on the calibrated chain, begun at the nominal solution, gives the joints to command; for a controller that takes
 //! poses only, the nominal chain's pose at these joints is the pose to command, since the controller will find the
 //! same joints from it.
@@ -84,7 +84,7 @@ pub enum TargetProblem {
         "the calibrated arm does not reach the pose near the nominal solution: {missing_mm:.3} mm and {missing_deg:.4} deg are missing; {reason}"
     )]
     CalibratedOutOfReach {
-        /// Why, as far as can be told.
+        /// Why, as far as is known.
         reason: String,
         /// What is missing, millimetres.
         missing_mm: f64,
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_reached_is_told() {
+    fn what_cannot_be_reached_is_reported() {
         let (nominal, calibrated, _) = arms("hp3j", 0.0);
         let options = CompensationOptions::default();
         let mut compensator = Compensator::new(&nominal, &calibrated, &options).unwrap();

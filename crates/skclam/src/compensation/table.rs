@@ -38,7 +38,7 @@ pub enum CompensationError {
     Arms(#[from] KinematicsError),
 }
 
-/// A target and what stands beside it.
+/// A target and what is beside it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Target {
     /// Line of the file, counted from 1 (the header).
@@ -67,7 +67,7 @@ pub struct TargetTable {
 /// "ok", or why there is nothing to command.
 const STATUS: &str = "status";
 const POSE_COLUMNS: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"];
-/// Targets of a table at the most.
+/// Targets of a table at most.
 const MAX_TARGETS: usize = 1 << 20;
 
 /// Reads a table of targets for an arm.
@@ -85,7 +85,7 @@ pub fn read_targets(path: &Path, arm: &SerialChain) -> Result<TargetTable, Compe
     let header = reader.headers().map_err(|error| wrong(1, error.to_string()))?.clone();
     let mut names = std::collections::BTreeSet::new();
     if let Some(twice) = header.iter().find(|name| !names.insert(*name)) {
-        return Err(wrong(1, format!("the column \"{twice}\" stands twice")));
+        return Err(wrong(1, format!("duplicate column \"{twice}\"")));
     }
     let columns = Columns::of(&header, arm).map_err(|problem| wrong(1, problem))?;
     let mut targets = Vec::new();
@@ -320,7 +320,7 @@ mod tests {
             ("q1_deg,q2_deg\n1,2\n".to_owned(), "no column q3_deg, q4_deg, q5_deg, q6_deg"),
             ("x_mm,y_mm\n1,2\n".to_owned(), "a pose needs all of"),
             ("name\na\n".to_owned(), "neither joint columns"),
-            ("q1_deg,q1_deg\n".to_owned(), "stands twice"),
+            ("q1_deg,q1_deg\n".to_owned(), "duplicate column"),
             ("x_mm,y_mm,z_mm,qx,qy,qz,qw\n1,2,3,0,0,0,0.5\n".to_owned(), "line 2: qx qy qz qw has the norm 0.5"),
         ] {
             let message = read(&text).unwrap_err().to_string();

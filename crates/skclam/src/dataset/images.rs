@@ -22,7 +22,7 @@ pub(super) fn check_header(
     let path = folder.join(name);
     let io = |source| DatasetError::Io { path: path.clone(), source };
     let file = inside(folder, name).and_then(|path| open(path, Kind::Image)).map_err(io)?;
-    // The size of a PNG stands at its beginning; its reader would unpack a colour profile first.
+    // The size of a PNG is at its beginning; its reader would unpack a colour profile first.
     let mut beginning = Vec::new();
     (&file).take(png::HEADER_BYTES as u64).read_to_end(&mut beginning).map_err(io)?;
     let size = match png::size(&beginning) {

@@ -1,4 +1,4 @@
-//! Whether a JPEG is whole: decoders show grey for what is missing and say nothing.
+//! Whether a JPEG is whole: decoders show grey for what is missing without an error.
 //!
 //! The markers are followed (ITU-T T.81, annex B): segments by their length, entropy-coded data up to the next
 //! marker. A search for the bytes of the end marker alone would find that of a thumbnail in the metadata.
@@ -7,8 +7,8 @@ use super::jpeg_blocks;
 use image::{DynamicImage, GenericImageView};
 use std::io::{self, BufRead};
 
-/// Marker codes that stand alone, without a length: TEM and the restart markers.
-fn stands_alone(code: u8) -> bool {
+/// Marker codes without a length: TEM and the restart markers.
+fn has_no_length(code: u8) -> bool {
     matches!(code, 0x01 | 0xD0..=0xD7)
 }
 
@@ -35,7 +35,7 @@ fn ends_flat(image: &DynamicImage) -> bool {
     all(&|x, y| image.get_pixel(x, y) == first) || all(&|x, y| image.get_pixel(x, y) == image.get_pixel(x - 8, y))
 }
 
-/// Whether the stream comes to the end marker of its image. What follows that is not looked at.
+/// Whether the stream comes to the end marker of its image. What follows that is ignored.
 fn ends(mut stream: impl BufRead) -> io::Result<bool> {
     let mut in_scan = false;
     loop {
@@ -45,7 +45,7 @@ fn ends(mut stream: impl BufRead) -> io::Result<bool> {
             0xD9 => return Ok(true),
             // Start of image.
             0xD8 => {}
-            code if stands_alone(code) => {}
+            code if has_no_length(code) => {}
             code => {
                 let mut length = [0; 2];
                 if !filled(&mut stream, &mut length)? {
@@ -77,7 +77,7 @@ fn next_marker(stream: &mut impl BufRead, in_scan: bool) -> io::Result<Option<u8
                 break;
             }
         }
-        let data = byte[0] == 0 || (in_scan && stands_alone(byte[0]));
+        let data = byte[0] == 0 || (in_scan && has_no_length(byte[0]));
         if !data {
             return Ok(Some(byte[0]));
         }

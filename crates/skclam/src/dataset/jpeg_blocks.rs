@@ -5,7 +5,7 @@
 
 /// Whether a block is missing. Progressive files are not looked into: false.
 pub(super) fn are_missing(jpeg: &[u8]) -> bool {
-    // Damage other than missing data is the decoder's to tell.
+    // Damage other than missing data is the decoder's to report.
     matches!(Walk::default().walk(jpeg), Some(Missing))
 }
 
@@ -48,7 +48,7 @@ impl Codes {
 }
 
 impl Walk {
-    /// `None`: all there, or not to be told.
+    /// `None`: all there, or not known.
     fn walk(&mut self, jpeg: &[u8]) -> Option<Missing> {
         let mut rest = jpeg.get(2..)?;
         loop {
@@ -232,7 +232,7 @@ impl Bits<'_> {
         }
     }
 
-    /// Where the next marker stands.
+    /// Where the next marker is.
     fn end(&self) -> usize {
         let mut at = self.at;
         while let Some([byte, next, ..]) = self.data.get(at..) {

@@ -1,7 +1,7 @@
 //! A dataset is a folder: `rig.toml`, `postures.csv`, colour images and depth images.
 //!
 //! Opening one reads the rig and the table and looks at the header of every image, so that what is wrong with a folder
-//! is told before any work is done. Pixels are decoded when they are asked for.
+//! is reported before any work is done. Pixels are decoded when they are asked for.
 
 mod error;
 mod images;
@@ -90,7 +90,8 @@ impl Dataset {
         images::read_gray(&self.folder, &self.records[index].color, &self.rig.color)
     }
 
-    /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture has none.
+    /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture
+    /// has none.
     pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
         let record = &self.records[index];
         let (Some(path), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };
@@ -123,7 +124,7 @@ impl Dataset {
         self.check_joint_columns(&table)?;
         for (row, record) in self.records.iter().enumerate() {
             for image in [Some(&record.color), record.depth.as_ref()].into_iter().flatten() {
-                // Whether it can be read is told when its header is.
+                // Whether it can be read is found out when its header is.
                 let Err(error) = skclam_files::inside(&self.folder, image) else { continue };
                 let index = record.posture.index;
                 let problem = match error.kind() {

@@ -50,7 +50,7 @@ mod tests {
     }
 
     fn with_chunk(png: &[u8], kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
-        // Behind the header, whose 13 bytes stand between 8 and 4 others.
+        // Behind the header, whose 13 bytes lie between 8 and 4 others.
         let (before, after) = png.split_at(SIGNATURE.len() + 25);
         let length = (data.len() as u32).to_be_bytes();
         let checksum = crc([kind, data].concat());

@@ -19,16 +19,16 @@ pub struct PostureRecord {
     pub depth: Option<PathBuf>,
 }
 
-/// The most postures that are believed; a recording of weeks has fewer.
+/// The most postures that are accepted; a recording of weeks has fewer.
 const MAX_POSTURES: usize = 1_000_000;
 /// Values of joints and poses are smaller, radians or metres (millimetres for poses).
 const LARGEST_VALUE: f64 = 1e9;
-/// The most joints that are believed.
+/// The most joints that are accepted.
 const MAX_JOINTS: usize = 64;
 
 const POSE_COLUMNS: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"];
 
-/// Where the columns stand.
+/// Where the columns are.
 struct Columns {
     index: usize,
     timestamp: Option<usize>,
@@ -95,7 +95,7 @@ impl Table<'_> {
         let names: Vec<&str> = header.iter().collect();
         let mut known = std::collections::BTreeSet::new();
         if let Some(twice) = names.iter().find(|name| !known.insert(**name)) {
-            return Err(self.error(1, format!("column \"{twice}\" stands twice")));
+            return Err(self.error(1, format!("duplicate column \"{twice}\"")));
         }
         let find = |name: &str| names.iter().position(|candidate| *candidate == name);
         let need = |name: &str| find(name).ok_or_else(|| self.error(1, format!("column \"{name}\" is missing")));
@@ -121,7 +121,7 @@ impl Table<'_> {
             (true, 0) => return Err(self.error(1, "neither joint columns (q1_deg ...) nor flange poses (x_mm ... qw)")),
             (true, _) => return Err(self.error(1, format!("a flange pose needs all of {}", POSE_COLUMNS.join(", ")))),
             (false, _) => {
-                return Err(self.error(1, "joint columns and flange poses stand side by side; give one or the other"));
+                return Err(self.error(1, "joint columns and flange poses are both given; keep one"));
             }
         };
         Ok(Columns {
@@ -239,7 +239,7 @@ pub(crate) fn joint_column(name: &str) -> Option<(usize, f64)> {
     Some((joint, unit))
 }
 
-/// Writes the table as text; `kinds` tells the unit of each joint (degrees or millimetres).
+/// Writes the table as text; `kinds` gives the unit of each joint (degrees or millimetres).
 pub fn write_postures(records: &[PostureRecord], kinds: &[JointKind]) -> Result<String, DatasetError> {
     let path = PathBuf::from("postures.csv");
     let table = Table { path: &path };
@@ -332,7 +332,7 @@ mod tests {
             ("index,q1_deg,x_mm,color\n".to_owned(), "side by side"),
             ("index,x_mm,y_mm,color\n".to_owned(), "a flange pose needs all of"),
             ("index,color\n".to_owned(), "neither joint columns"),
-            ("index,q1_deg,q1_deg,color\n".to_owned(), "stands twice"),
+            ("index,q1_deg,q1_deg,color\n".to_owned(), "duplicate column"),
             ("index,x_mm,y_mm,z_mm,qx,qy,qz,qw,color\n0,1,2,3,0,0,0,0.2,a.png\n".to_owned(), "unit quaternion"),
         ] {
             let got = message(&text);

@@ -250,12 +250,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let urdf = folder.path().join("one.urdf");
         let rig = skclam_rig::builtin_rig("hp3j").unwrap().unwrap();
-        let told = |text: &str| {
+        let refusal = |text: &str| {
             std::fs::write(&urdf, text).unwrap();
             SelfFilter::read(&urdf, &rig, SelfFilterOptions::default()).unwrap_err().to_string()
         };
-        assert!(told(URDF).contains("turn"));
-        assert!(told(r#"<robot name="x"><link name="base"/></robot>"#).contains("do not bear the names"));
-        assert!(told("<robot").contains("XML"));
+        assert!(refusal(URDF).contains("turn"));
+        assert!(refusal(r#"<robot name="x"><link name="base"/></robot>"#).contains("do not bear the names"));
+        assert!(refusal("<robot").contains("XML"));
     }
 }

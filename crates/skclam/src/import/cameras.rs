@@ -24,7 +24,7 @@ pub(super) struct Cameras {
     pub frames: BTreeMap<usize, String>,
 }
 
-/// Frames of a tree of transforms at the most.
+/// Frames of a tree of transforms at most.
 const MAX_FRAMES: usize = 1 << 14;
 /// Metres a count in the TUM benchmark: 5000 counts a metre.
 const TUM_UNIT_M: f64 = 1.0 / 5000.0;

@@ -36,11 +36,11 @@ pub(super) struct ImageKind {
     pub frame_id: String,
 }
 
-/// Images of a recording at the most, over all topics.
+/// Images of a recording at most, over all topics.
 const MAX_IMAGES: usize = 1 << 22;
-/// Topics with joints at the most: each track takes memory.
+/// Topics with joints at most: each track takes memory.
 const MAX_TRACKS: usize = 2;
-/// An image's header, size and encoding stand within so many bytes.
+/// An image's header, size and encoding are within so many bytes.
 const HEAD_BYTES: usize = 1024;
 
 pub(super) fn first_pass(

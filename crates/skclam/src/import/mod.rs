@@ -89,12 +89,12 @@ pub struct ImportSummary {
     pub moving: usize,
     /// Postures whose colour image has no depth image beside it.
     pub without_depth: usize,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<String>,
 }
 
-/// Imports a recording into a folder that is published by the caller. `rig` gives the arm and the mount, and the cameras
-/// where the recording does not; `joint_log` joint values that were recorded apart.
+/// Imports a recording into a folder that is published by the caller. `rig` gives the arm and the mount, and the
+/// cameras where the recording does not; `joint_log` joint values that were recorded apart.
 ///
 /// # Errors
 /// [`ImportError`]: a damaged recording, topics that cannot be chosen, joints or cameras that do not fit the rig, fewer
@@ -123,7 +123,7 @@ pub fn import_recording(
     enough(&plan, color_images.len(), &track, options)?;
     if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
         warnings.push(
-            "joint states come too seldom to tell whether the arm moved; every image with joints beside it is taken"
+            "joint states come too seldom to know whether the arm moved; every image with joints beside it is taken"
                 .to_owned(),
         );
     }

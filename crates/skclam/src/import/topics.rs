@@ -41,7 +41,7 @@ fn content(topic: &Topic, kind: &ImageKind) -> Content {
     }
 }
 
-/// Frames of a RealSense camera without size, encoding or stamp: they stand as text on other topics.
+/// Frames of a RealSense camera without size, encoding or stamp: they are text on other topics.
 const REALSENSE_RAW: &str = "librealsense/raw_frame";
 
 /// Chooses the image topics: named ones, else the only ones of their content. A raw topic comes before its compressed

@@ -1,8 +1,10 @@
-//! How well the arm can be calibrated with these postures: observations that the nominal rig predicts, and the covariance that they would give.
+//! How well the arm can be calibrated with these postures: observations that the nominal rig predicts, and the
+//! covariance that they would give.
 //!
-//! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should be matched with it,
-//! as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are not predicted but found, and heard as a run
-//! hears them: alone where (nearly) every posture shows them and there is no depth.
+//! A grid of each image's points (from its depth image, else at assumed depths) is followed into the images that should
+//! be matched with it, as long as they lie inside, are not hidden there and look alike. Corners of the rig's board are
+//! not predicted but found, and used as a run uses them: alone where (nearly) every posture shows them and there is no
+//! depth.
 
 use crate::dataset::Dataset;
 use crate::evaluation::Statistics;
@@ -27,7 +29,7 @@ use super::JointCoverage;
 pub struct ExpectedSigmaOptions {
     /// Points of the grid on each image, columns and rows.
     pub grid: [u32; 2],
-    /// Images that show a point, at most: the one of the grid and some of its neighbors in turn.
+    /// Images that show a point, at most: the one of the grid and some of its neighbours in turn.
     pub observations_per_point: usize,
     /// Noise, priors and what is free.
     pub expectation: ExpectationOptions,
@@ -69,11 +71,12 @@ pub struct ExpectedSigmas {
     pub free: usize,
     /// How many combinations of them the residuals depend on.
     pub rank: usize,
-    /// How many combinations become known to half of their tolerance or better; the others stay about as they were before.
-    pub told: usize,
-    /// Greatest over smallest singular value of what is seen.
+    /// How many combinations become known to half of their tolerance or better; the others stay about as they were
+    /// before.
+    pub identifiable: usize,
+    /// Greatest over smallest singular value of what is identifiable.
     pub condition_number: Option<f64>,
-    /// What cannot be told, and why, in words.
+    /// What is not identifiable, and why, in words.
     pub not_identifiable: Vec<String>,
     /// Standard deviation of the camera's position over the postures, mm.
     pub camera_sigma_mm: Statistics,
@@ -88,7 +91,7 @@ pub struct ExpectedSigmas {
 pub struct ExpectedParameter {
     /// "alpha_2".
     pub name: String,
-    /// Expected standard deviation in `unit`; `null` where the postures do not tell.
+    /// Expected standard deviation in `unit`; `null` where the postures do not determine it.
     pub sigma: Option<f64>,
     /// "deg", "mm", "px" or "" (no unit).
     pub unit: &'static str,
@@ -216,21 +219,26 @@ pub(super) fn expected_sigmas(
         parameters: expected.parameters.iter().map(ExpectedParameter::of).collect(),
         free: expected.parameters.len(),
         rank: expected.identifiability.rank,
-        told: told_combinations(rig, &expected),
+        identifiable: identifiable_combinations(rig, &expected),
         condition_number: Some(expected.identifiability.condition_number).filter(|number| number.is_finite()),
-        not_identifiable: expected.identifiability.unobservable.iter().map(|unseen| unseen.reason.clone()).collect(),
+        not_identifiable: expected
+            .identifiability
+            .unobservable
+            .iter()
+            .map(|direction| direction.reason.clone())
+            .collect(),
         camera_sigma_mm: over(&|pose| 1e3 * position_sigma_m(&pose.camera)),
         camera_sigma_deg: over(&|pose| orientation_sigma_rad(&pose.camera).to_degrees()),
         joints_to_move: joints_to_move(rig, &expected, joints, options),
     })
 }
 
-/// Variance that is left of a combination's tolerance where it counts as told: half the standard deviation.
-const TOLD: f64 = 0.25;
+/// Variance that is left of a combination's tolerance where it counts as determined: half the standard deviation.
+const IDENTIFIABLE_VARIANCE: f64 = 0.25;
 
-/// Combinations of parameters that the data make known: directions in which the expected covariance, measured by the tolerances,
-/// is small. What the residuals do not depend on is none, whatever its variance is taken as.
-fn told_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
+/// Combinations of parameters that the data make known: directions in which the expected covariance, measured by the
+/// tolerances, is small. What the residuals do not depend on is none, whatever its variance is taken as.
+fn identifiable_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
     let tolerance = |k: usize| {
         let parameter = expected.parameters[k].parameter;
         stated_sigma(rig, parameter).unwrap_or_else(|| default_sigma(rig, parameter))
@@ -238,10 +246,10 @@ fn told_combinations(rig: &Rig, expected: &ExpectedCalibration) -> usize {
     let count = expected.parameters.len();
     let relative = DMatrix::from_fn(count, count, |i, j| expected.covariance[(i, j)] / (tolerance(i) * tolerance(j)));
     let left = relative.symmetric_eigenvalues();
-    left.iter().filter(|&&variance| variance < TOLD).count().min(expected.identifiability.rank)
+    left.iter().filter(|&&variance| variance < IDENTIFIABLE_VARIANCE).count().min(expected.identifiability.rank)
 }
 
-/// Each image's points and where its neighbors show them.
+/// Each image's points and where its neighbours show them.
 fn predicted_tracks(
     views: &[Predicted],
     pairs: &[ImagePair],
@@ -273,7 +281,7 @@ fn predicted_tracks(
                 if observations.len() >= observations_per_point {
                     break;
                 }
-                // In turn, so that no neighbor is preferred.
+                // In turn, so that no neighbour is preferred.
                 let (b, b_from_a) = &others[(number + step) % others.len()];
                 let Some((pixel, in_b)) = shown_to(point, b_from_a, camera, pairing) else { continue };
                 if !views[*b].surface.as_ref().is_some_and(|surface| surface.hides(camera, &pixel, in_b.z)) {
@@ -299,7 +307,7 @@ impl ExpectedParameter {
     }
 }
 
-/// Parameters that the postures tell badly blame the joint beside them that moved least, unless that moved amply.
+/// Parameters that the postures determine badly blame the joint beside them that moved least, unless that moved amply.
 fn joints_to_move(
     rig: &Rig,
     expected: &ExpectedCalibration,
@@ -321,12 +329,13 @@ fn joints_to_move(
             blamed[joint].push(estimate.parameter.to_string());
         }
     }
-    let told = joints.iter().zip(blamed).filter(|(_, parameters)| !parameters.is_empty());
-    told.map(|(joint, parameters)| JointToMove {
-        joint: joint.joint.clone(),
-        range: joint.max - joint.min,
-        unit: joint.unit,
-        parameters,
-    })
-    .collect()
+    let blamed_joints = joints.iter().zip(blamed).filter(|(_, parameters)| !parameters.is_empty());
+    blamed_joints
+        .map(|(joint, parameters)| JointToMove {
+            joint: joint.joint.clone(),
+            range: joint.max - joint.min,
+            unit: joint.unit,
+            parameters,
+        })
+        .collect()
 }

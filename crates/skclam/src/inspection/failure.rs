@@ -1,5 +1,5 @@
-//! What may be wrong with a data set that could not be calibrated: an estimator speaks of matrices, a person looks
-//! for a slip.
+//! What may be wrong with a data set that could not be calibrated: the error of an estimator is about matrices, a
+//! person looks for a slip.
 
 use super::InspectionOptions;
 use crate::dataset::Dataset;
@@ -12,7 +12,7 @@ const VIEW_DEG: [f64; 2] = [15.0, 150.0];
 /// Lengths of arms, metres: the sum of all links.
 const ARM_M: [f64; 2] = [0.05, 30.0];
 
-/// The first thing in a data set that no real one has, in one sentence; `None` where nothing stands out.
+/// The first thing in a data set that no real one has, in one sentence; `None` where there is nothing of the kind.
 pub fn likely_cause(dataset: &Dataset) -> Option<String> {
     let depth = dataset.rig.depth.as_ref();
     let cameras = [("color", Some(&dataset.rig.color)), ("depth", depth.map(|depth| &depth.camera))];
@@ -33,7 +33,7 @@ fn doubtful_view(table: &str, camera: &PinholeCamera) -> Option<String> {
 fn doubtful_depth(dataset: &Dataset) -> Option<String> {
     let camera = dataset.rig.depth.as_ref()?;
     let step = dataset.len().div_ceil(LOOKED_AT).max(1);
-    // An image that cannot be read has been told.
+    // An image that cannot be read has been reported.
     let images = (0..dataset.len()).step_by(step).filter_map(|index| dataset.depth(index).ok().flatten());
     let mut medians: Vec<f64> = images
         .filter_map(|image| {

@@ -1,5 +1,6 @@
 //! A dataset judged before any calibration: how the joints are covered, how sharp and how well exposed the images are,
-//! which postures should see the same, how well each parameter can be told from them, and what is likely to go wrong.
+//! which postures should see the same, how well each parameter can be determined from them, and what is likely to go
+//! wrong.
 
 mod expected;
 mod failure;
@@ -26,25 +27,26 @@ use warnings::warnings;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InspectionOptions {
-    /// Prediction of what images share.
+    /// Prediction of the overlap of images.
     pub pairing: PairingOptions,
     /// Fewer postures than this calibrate badly: the paper needed 30 for a tenth of a degree.
     pub min_postures: usize,
-    /// A revolute joint that turns by less than this tells little of its parameters, degrees.
+    /// A revolute joint that turns by less than this says little about its parameters, degrees.
     pub min_joint_range_deg: f64,
     /// A prismatic joint that slides by less than this, millimetres.
     pub min_joint_range_mm: f64,
-    /// An image with less than this share of the median sharpness is blurred.
+    /// An image with less than this fraction of the median sharpness is blurred.
     pub min_relative_sharpness: f64,
-    /// A share of black or of white pixels beyond this is badly exposed.
+    /// A fraction of black or of white pixels beyond this is badly exposed.
     pub max_clipped: f64,
-    /// A depth image with a smaller share of measured pixels is a poor one.
+    /// A depth image with a smaller fraction of measured pixels is a poor one.
     pub min_depth_fraction: f64,
-    /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt, metres.
+    /// The median depth of a camera on a wrist lies between these; beyond, the unit of the depth images is in doubt,
+    /// metres.
     pub plausible_depth_m: [f64; 2],
     /// Detector of the rig's board.
     pub board: BoardOptions,
-    /// Prediction of how well the parameters can be told.
+    /// Prediction of how well the parameters can be determined.
     pub expected: ExpectedSigmaOptions,
 }
 
@@ -89,11 +91,11 @@ pub struct ImageJudgement {
     pub index: u64,
     /// Its file.
     pub color: String,
-    /// Fine detail as a share of the contrast; to be compared within a dataset.
+    /// Fine detail as a fraction of the contrast; to be compared within a dataset.
     pub sharpness: f64,
     /// Grey values.
     pub exposure: Exposure,
-    /// Share of measured depth pixels.
+    /// Fraction of measured depth pixels.
     pub depth_fraction: Option<f64>,
     /// Median depth, metres.
     pub median_depth_m: Option<f64>,
@@ -114,9 +116,10 @@ pub struct Inspection {
     pub groups: Vec<Vec<usize>>,
     /// The rig's board in the images; `null` where the rig has none.
     pub board: Option<BoardSummary>,
-    /// How well each parameter can be told from these postures; `null` where they cannot be calibrated with at all.
+    /// How well each parameter can be determined from these postures; `null` where they cannot be calibrated with at
+    /// all.
     pub expected: Option<ExpectedSigmas>,
-    /// What a person should hear of, each with advice.
+    /// What a user should know, each with advice.
     pub warnings: Vec<String>,
 }
 
@@ -301,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_dataset_has_one_island_and_a_bad_one_is_told_of() {
+    fn a_good_dataset_has_one_island_and_a_bad_one_is_warned_of() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         let options = InspectionOptions::default();
         let good = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
@@ -312,7 +315,7 @@ mod tests {
         assert!(expected.rank == expected.free && expected.joints_to_move.is_empty(), "{expected:?}");
         // Most of it is the tolerance of the depth's scale.
         assert!((0.05..3.0).contains(&expected.camera_sigma_mm.mean), "{expected:?}");
-        assert!(expected.told > expected.free / 2, "{expected:?}");
+        assert!(expected.identifiable > expected.free / 2, "{expected:?}");
         dataset.records.truncate(3);
         let bad = inspect(&dataset, &options, &crate::progress::Silent).unwrap();
         assert!(bad.warnings.iter().any(|warning| warning.starts_with("3 postures; 30 or more")), "{:?}", bad.warnings);
@@ -320,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_stands_still_is_named_before_any_calibration() {
+    fn a_joint_that_does_not_move_is_named_before_any_calibration() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         for record in &mut dataset.records {
             if let PostureState::Joints(values) = &mut record.posture.state {
@@ -329,42 +332,42 @@ mod tests {
         }
         let still = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
         let expected = still.expected.unwrap();
-        assert!(expected.told <= expected.rank && expected.rank < expected.free, "{expected:?}");
+        assert!(expected.identifiable <= expected.rank && expected.rank < expected.free, "{expected:?}");
         let named: Vec<&str> = expected.joints_to_move.iter().map(|joint| joint.joint.as_str()).collect();
         assert_eq!(named, [still.joints[4].joint.as_str()], "{expected:?}");
         assert!(expected.not_identifiable.iter().any(|reason| reason.contains("joint 5")), "{expected:?}");
         assert!(still.warnings.iter().any(|warning| warning.contains("should move more")), "{:?}", still.warnings);
     }
     #[test]
-    fn what_only_the_tolerances_tell_is_not_counted_as_told() {
+    fn what_only_the_tolerances_fix_is_not_counted_as_identifiable() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         for (at, record) in dataset.records.iter_mut().enumerate() {
             if let PostureState::Joints(values) = &mut record.posture.state {
-                // All but the last joint stand still, up to what makes the residuals depend on them a little.
+                // All but the last joint are at rest, up to what makes the residuals depend on them a little.
                 *values = [0.1, 0.2, -0.3, 0.1, 0.6, 0.1 * at as f64].map(|q| q + 1e-5 * (at as f64).sin()).to_vec();
             }
         }
         let expected = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap().expected;
         let expected = expected.unwrap();
         let none = expected.parameters.iter().filter(|parameter| parameter.sigma.is_none()).count();
-        assert!(none > 10 && expected.told < expected.free / 2, "{expected:?}");
+        assert!(none > 10 && expected.identifiable < expected.free / 2, "{expected:?}");
     }
 
     #[test]
     fn a_wrong_unit_of_depth_is_named() {
         let Some(mut dataset) = shared("virtual-cell") else { return };
         dataset.records.truncate(2);
-        let told = |dataset: &Dataset| {
+        let warned = |dataset: &Dataset| {
             let judged = inspect(dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
             judged.warnings.iter().any(|warning| warning.contains("depth.unit_mm"))
         };
-        assert!(!told(&dataset));
+        assert!(!warned(&dataset));
         dataset.rig.depth.as_mut().unwrap().unit_m *= 1e-3;
-        assert!(told(&dataset));
+        assert!(warned(&dataset));
     }
 
     #[test]
-    fn a_board_tells_the_scale_and_leads_where_all_postures_show_it() {
+    fn a_board_gives_the_scale_and_leads_where_all_postures_show_it() {
         let Some(mut dataset) = shared("nachi-mz25") else { return };
         let by_board = inspect(&dataset, &InspectionOptions::default(), &crate::progress::Silent).unwrap();
         let board = by_board.board.as_ref().unwrap();

@@ -1,4 +1,4 @@
-//! What a person should hear of a dataset, each with advice.
+//! What a user should know of a dataset, each with advice.
 
 use super::{ImageJudgement, Inspection, InspectionOptions};
 use crate::dataset::Dataset;
@@ -62,7 +62,7 @@ pub(super) fn warnings(dataset: &Dataset, inspection: &Inspection, options: &Ins
             warnings.push(format!("{what} in {} of {count} postures ({shown}{more}); {advice}", found.len()));
         }
     };
-    list("blurred images", "let the arm stand before an image is taken", &|image| {
+    list("blurred images", "let the arm come to rest before an image is taken", &|image| {
         image.sharpness < options.min_relative_sharpness * median
     });
     list("underexposed images", "more light, or a longer exposure at a standstill", &|image| {
@@ -118,7 +118,7 @@ fn doubtful_unit(dataset: &Dataset, inspection: &Inspection, options: &Inspectio
     })
 }
 
-/// One decimal, and a power of ten where no joint stands.
+/// One decimal, and a power of ten where that is longer.
 fn tenth(value: f64) -> String {
     if value.abs() < 1e7 { format!("{value:.1}") } else { format!("{value:.1e}") }
 }

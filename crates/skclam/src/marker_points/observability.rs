@@ -1,5 +1,5 @@
 //! Which parts of the offsets the points determine. With all postures in one orientation an offset and the frame's
-//! translation cannot be told apart; with turns about one axis alone, that axis of the offset.
+//! translation cannot be separated; with rotations about one axis alone, that axis of the offset.
 
 use super::solve::{FRAME_UNKNOWNS, Observation, Problem, State};
 use nalgebra::{DMatrix, DVector, Vector3};

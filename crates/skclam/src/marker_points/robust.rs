@@ -222,11 +222,11 @@ mod tests {
 
     #[test]
     fn no_rotation_is_far_from_one_of_the_cube() {
-        let turns: Vec<UnitQuaternion<f64>> = cube_rotations().collect();
-        assert_eq!(turns.len(), 24);
-        assert!(turns[0].angle() < 1e-12);
-        for (at, turn) in turns.iter().enumerate() {
-            assert!(turns[..at].iter().all(|other| other.angle_to(turn) > 1.0), "{at} is a duplicate");
+        let rotations: Vec<UnitQuaternion<f64>> = cube_rotations().collect();
+        assert_eq!(rotations.len(), 24);
+        assert!(rotations[0].angle() < 1e-12);
+        for (at, turn) in rotations.iter().enumerate() {
+            assert!(rotations[..at].iter().all(|other| other.angle_to(turn) > 1.0), "{at} is a duplicate");
         }
     }
 }

@@ -18,7 +18,7 @@ const MAX_JOINT_VALUE: f64 = 1e9;
 const EXPECTED_COLUMNS: &str = "index, group, marker, timestamp_s, q1_deg ... (or _rad, _mm), x_mm y_mm z_mm (or _m), \
                                 sigma_mm or sigma_x_mm sigma_y_mm sigma_z_mm (or _m)";
 
-/// Where a length stands, and how many metres its unit has.
+/// Where a length is, and how many metres its unit has.
 type LengthColumn = (usize, f64);
 
 struct Columns {
@@ -108,7 +108,7 @@ impl Table<'_> {
         let [mm, m] = ["_mm", "_m"].map(|unit| names.iter().position(|name| *name == format!("{quantity}{unit}")));
         match (mm, m) {
             (Some(_), Some(_)) => {
-                let problem = format!("columns \"{quantity}_mm\" and \"{quantity}_m\" stand side by side; give one");
+                let problem = format!("columns \"{quantity}_mm\" and \"{quantity}_m\" are both given; keep one");
                 Err(self.error(1, problem))
             }
             (mm, m) => Ok(mm.map(|column| (column, 1e-3)).or(m.map(|column| (column, 1.0)))),
@@ -259,7 +259,7 @@ mod tests {
             (String::new(), "line 1: no joint columns"),
             ("x_mm,y_mm,z_mm\n".to_owned(), "line 1: no joint columns"),
             ("q1_rad,x_mm,y_mm\n".to_owned(), "line 1: column \"z_mm\" (or \"z_m\") is missing"),
-            ("q1_rad,x_mm,x_m,y_mm,z_mm\n".to_owned(), "\"x_mm\" and \"x_m\" stand side by side"),
+            ("q1_rad,x_mm,x_m,y_mm,z_mm\n".to_owned(), "\"x_mm\" and \"x_m\" are both given"),
             ("q1_rad,x_mm,x_mm,y_mm,z_mm\n".to_owned(), "duplicate column \"x_mm\""),
             ("q1_rad,x_in,y_mm,z_mm\n".to_owned(), "unknown column \"x_in\"; the columns are index, group"),
             ("q1_rad,q3_rad,x_mm,y_mm,z_mm\n".to_owned(), "q1 to q2"),

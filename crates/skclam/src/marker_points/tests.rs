@@ -260,10 +260,10 @@ fn the_true_rig_is_good_a_worse_one_bad_and_the_same_not_distinguishable() {
     assert_eq!((alone.status, alone.standard_error_mm), (Status::Caution, None));
 }
 
-/// Over many draws of two rigs that are equally wrong, few are told apart: the standard error is no smaller than the
-/// scatter.
+/// Over many draws of two rigs that are equally wrong, few are found to differ: the standard error is no smaller than
+/// the scatter.
 #[test]
-fn equally_wrong_rigs_are_seldom_told_apart() {
+fn equally_wrong_rigs_are_seldom_found_to_differ() {
     let truth = hp3j();
     let mut apart = 0;
     for seed in 0..40 {

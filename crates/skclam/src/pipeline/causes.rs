@@ -1,7 +1,9 @@
-//! What does not fit, by name: instruments beyond their tolerance, patterns of the posture errors, and noise that no such device has.
+//! What does not fit, by name: instruments beyond their tolerance, patterns of the posture errors, and noise that no
+//! such device has.
 //!
-//! Nothing here is a guess from thresholds on residuals: each cause was estimated (an instrument's parameter, freed within its tolerance) or score-tested (a pattern), and carries
-//! its value and twice the gain of the logarithm of the likelihood, by which causes are ranked.
+//! Nothing here is a guess from thresholds on residuals: each cause was estimated (an instrument's parameter, freed
+//! within its tolerance) or score-tested (a pattern), and carries its value and twice the gain of the logarithm of the
+//! likelihood, by which causes are ranked.
 
 use super::{
     Config, DepthShift, Evidence, GrossFinding, ImageFeatures, RunError, Status, find_depth_shift, find_gross_cause,
@@ -149,8 +151,9 @@ impl Cause {
 /// Joints that are off by more in every posture anew (degrees) are no noise: something gross is wrong.
 const GROSS_DEG: f64 = 0.1;
 
-/// The causes of what does not fit: those that call for something first, in the order of what they explain. Gross mistakes are tried where the rig does not explain the
-/// images; other rows of the depth images where depths scatter as no camera's do.
+/// The causes of what does not fit: those that call for something first, in the order of what they explain. Gross
+/// mistakes are tried where the rig does not explain the images; other rows of the depth images where depths scatter as
+/// no camera's do.
 ///
 /// # Errors
 /// An interruption, and what trying the mistakes refuses.
@@ -202,7 +205,7 @@ fn instrument(parameter: Parameter) -> Instrument {
         Parameter::Intrinsic(_) => Instrument::Distortion,
         Parameter::DepthScale => Instrument::DepthScale,
         Parameter::DepthOffset => Instrument::DepthOffset,
-        // Along the optical axis it cannot be told from an offset of the depth.
+        // Along the optical axis it cannot be separated from an offset of the depth.
         Parameter::DepthExtrinsic(MountComponent::TranslationZ) => Instrument::DepthOffset,
         Parameter::DepthExtrinsic(_) => Instrument::Extrinsics,
         Parameter::BoardScale => Instrument::BoardSquares,
@@ -243,7 +246,8 @@ fn beyond(calibration: &Calibration) -> Vec<Cause> {
     found
 }
 
-/// Each arm position tells six numbers; a redundancy of four leaves enough to tell errors of single postures from those of the arm.
+/// Each arm position gives six numbers; a redundancy of four leaves enough to separate errors of single postures from
+/// those of the arm.
 const REDUNDANCY: usize = 4;
 
 fn few_postures(dataset: &Dataset, calibration: &Calibration) -> Option<Cause> {

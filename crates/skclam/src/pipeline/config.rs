@@ -1,4 +1,4 @@
-//! Everything that can be set in a run. The values that were in force stand in every `summary.json`.
+//! Everything that can be set in a run. The values that were in force are in every `summary.json`.
 
 use super::{HeldOutOptions, Pairing, PairingOptions, Search};
 use serde::{Deserialize, Serialize};
@@ -21,14 +21,14 @@ pub enum Estimator {
     Bundle,
 }
 
-/// What is heard where the rig has a board.
+/// What is used where the rig has a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BoardUse {
-    /// The board alone where (nearly) every posture shows it and there is no depth to hear; together elsewhere.
+    /// The board alone where (nearly) every posture shows it and there is no depth to use; together elsewhere.
     #[default]
     Auto,
-    /// Corners of the board alone; what postures do not show it tell nothing.
+    /// Corners of the board alone; postures that do not show it contribute nothing.
     Alone,
     /// Corners and natural features.
     Together,
@@ -48,7 +48,8 @@ pub struct Config {
     pub pairing: PairingOptions,
     /// How candidates are searched.
     pub search: Search,
-    /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts. `None`: no gate.
+    /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts.
+    /// `None`: no gate.
     pub epipolar_gate_deg: Option<f64>,
     /// The filters of section 3.2; the gate's pixels follow from `epipolar_gate_deg`.
     pub filter: FilterOptions,
@@ -56,13 +57,14 @@ pub struct Config {
     pub mask: Option<MaskOptions>,
     /// Joins matches to tracks over many images; `None`: pairs alone.
     pub tracks: Option<TrackOptions>,
-    /// Observations that the estimator takes at about most, from tracks evenly over the recording; `None`: all.
+    /// Observations that the estimator takes at most (approximately), from tracks evenly over the recording; `None`:
+    /// all.
     pub max_observations: Option<usize>,
     /// Aligns the patches of a track's observations to a few hundredths of a pixel; `None`: positions as detected.
     pub refine: Option<RefineOptions>,
     /// Detector of the rig's board.
     pub board: BoardOptions,
-    /// Whether natural features are heard beside the board.
+    /// Whether natural features are used beside the board.
     pub board_use: BoardUse,
     /// Which estimator.
     pub estimator: Estimator,
@@ -108,7 +110,8 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The paper to the letter: sections 3.2 and 3.3, `theta_th = 7.3 deg`, the 30 best of neighbouring pairs, the ten angles.
+    /// The paper to the letter: sections 3.2 and 3.3, `theta_th = 7.3 deg`, the 30 best of neighbouring pairs, the ten
+    /// angles.
     pub fn paper() -> Self {
         Config {
             free: Free::Angles,
@@ -128,7 +131,8 @@ impl Config {
         }
     }
 
-    /// These settings with every key replaced that a JSON text gives; a whole `summary.json` stands for its `configuration`.
+    /// These settings with every key replaced that a JSON text gives; of a whole `summary.json` its `configuration` is
+    /// taken.
     ///
     /// # Errors
     /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting.

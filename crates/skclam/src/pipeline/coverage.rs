@@ -13,21 +13,24 @@ use skclam_rig::Rig;
 /// What was seen, on a grid of cells of 5 cm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MapCoverage {
-    /// Radius of the ball that the flange stays in, around the first joint, metres; `null` without an arm or with sliding joints.
+    /// Radius of the ball that the flange stays in, around the first joint, metres; `null` without an arm or with
+    /// sliding joints.
     pub reach_m: Option<f64>,
-    /// Share of that ball that was seen to be free or occupied. Walls and the table cut off a part that nobody can see.
+    /// Fraction of that ball that was observed to be free or occupied. Walls and the table cut off a part that nobody
+    /// can see.
     pub observed_fraction_of_reach: Option<f64>,
-    /// Share of the free space's border that no surface closes: holes, and the ends of the views. `null` without free space.
+    /// Fraction of the free space's border that no surface closes: holes, and the ends of the views. `null` without
+    /// free space.
     pub open_boundary_fraction: Option<f64>,
     /// The same in square metres.
     pub open_boundary_m2: f64,
-    /// Share of the depth images' pixels that have no value.
+    /// Fraction of the depth images' pixels that have no value.
     pub depth_without_value: f64,
 }
 
-/// Edge of a cell, metres: what an arm's links do not pass through unseen.
+/// Edge of a cell, metres: what an arm's links do not pass through without touching it.
 const CELL_M: f64 = 0.05;
-/// Depth images that are looked at at the most, evenly over the recording.
+/// Depth images that are used at most, evenly over the recording.
 const MAX_IMAGES: usize = 120;
 /// Images that are decoded side by side.
 const DECODED_TOGETHER: usize = 8;
@@ -78,7 +81,8 @@ pub fn map_coverage(
     }))
 }
 
-/// The ball in the base's frame that the flange cannot leave: around the first joint, with the lengths of all links after it.
+/// The ball in the base's frame that the flange cannot leave: around the first joint, with the lengths of all links
+/// after it.
 fn reach(chain: &SerialChain) -> Option<(Point3, f64)> {
     if chain.joints().iter().any(|joint| joint.kind != JointKind::Revolute) {
         return None;

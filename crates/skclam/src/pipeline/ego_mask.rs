@@ -14,7 +14,7 @@ pub struct EgoMaskSummary {
     pub outcome: MaskOutcome,
     /// Pairs of images that were looked at.
     pub pairs: usize,
-    /// Share of the image that moves with the camera.
+    /// Fraction of the image that moves with the camera.
     pub masked_fraction: f64,
     /// Keypoints that were left out.
     pub dropped_keypoints: usize,
@@ -23,8 +23,8 @@ pub struct EgoMaskSummary {
 /// Pairs that are looked at: enough for several votes everywhere, and few enough to cost next to nothing.
 const PAIRS: usize = 24;
 
-/// Finds what moves with the camera and takes its keypoints out of `images`. `None` where it was not asked for, or where the
-/// rig brings a mask of its own.
+/// Finds what moves with the camera and takes its keypoints out of `images`. `None` where it was not asked for, or
+/// where the rig brings a mask of its own.
 pub fn drop_ego_masked(
     images: &mut [ImageFeatures],
     pairs: &[ImagePair],

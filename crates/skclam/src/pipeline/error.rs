@@ -56,14 +56,14 @@ pub enum RunError {
     },
     /// A mount that no camera has.
     #[error(
-        "the mount that fits the matches best lies {distance_m:.1} m from the flange, farther than a camera is mounted: the recording does not tell it \
+        "the mount that fits the matches best lies {distance_m:.1} m from the flange, farther than a camera is mounted: the recording does not determine it \
          ({matches} matches in {pairs} pairs, {median_px:.1} px from their lines in the median). Turn the wrist more while recording, or give a rough mount in the rig \
          and leave --find-mount out"
     )]
     AbsurdMount {
         /// From the flange to the camera, metres.
         distance_m: f64,
-        /// Matches that were heard.
+        /// Matches that were used.
         matches: usize,
         /// Their pairs of images.
         pairs: usize,

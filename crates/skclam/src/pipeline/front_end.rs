@@ -17,14 +17,14 @@ pub(super) struct FrontEnd {
     pub data: Correspondences,
     pub tracks: Option<TrackSummary>,
     pub board: Option<BoardSummary>,
-    pub told: Vec<String>,
+    pub warnings: Vec<String>,
     pub ego_mask: Option<(EgoMask, EgoMaskSummary)>,
 }
 
 /// Features, board, matches and tracks: section 3.2 and the rig's board. Fails where nothing is left.
 pub(super) fn front_end(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<FrontEnd, RunError> {
     let mut images = extract_features(dataset, config, progress)?;
-    // The other estimators hear pairs alone.
+    // The other estimators use pairs alone.
     let boards = match config.estimator {
         Estimator::Bundle => find_boards(dataset, &images, config, progress)?,
         Estimator::NelderMead | Estimator::Sampson => None,
@@ -37,18 +37,18 @@ pub(super) fn front_end(dataset: &Dataset, config: &Config, progress: &dyn Progr
     };
     let pairs = match_pairs(dataset, &images, chosen, config, progress)?;
     let (mut data, tracks) = correspondences(dataset, &images, &pairs, config, progress)?;
-    let mut told = Vec::new();
+    let mut warnings = Vec::new();
     let mut board = None;
     if let (Some((seen, summary)), Some(of_rig)) = (boards, &dataset.rig.board) {
-        told.extend(summary.warnings(of_rig));
+        warnings.extend(summary.warnings(of_rig));
         data.boards = seen;
         let has_depth = dataset.records.iter().any(|record| record.depth.is_some());
         if board_alone(config.board_use, summary.postures, dataset.len(), has_depth) && data.match_count() > 0 {
             data.tracks.clear();
             data.pairs.clear();
             if config.board_use == BoardUse::Auto {
-                told.push(format!(
-                    "the board is in {} of {} postures and leads: natural features were not heard (the setting \"board_use\": \"together\" hears them)",
+                warnings.push(format!(
+                    "the board is in {} of {} postures and leads: natural features were not used (the setting \"board_use\": \"together\" uses them)",
                     summary.postures,
                     dataset.len()
                 ));
@@ -70,5 +70,5 @@ pub(super) fn front_end(dataset: &Dataset, config: &Config, progress: &dyn Progr
             matches: 0,
         });
     }
-    Ok(FrontEnd { images, pairs, data, tracks, board, told, ego_mask })
+    Ok(FrontEnd { images, pairs, data, tracks, board, warnings, ego_mask })
 }

@@ -31,7 +31,7 @@ impl Default for HeldOutOptions {
 pub struct FoldSummary {
     /// The recording's indices of the held-out postures.
     pub postures: Vec<u64>,
-    /// Their residuals, px; what they are stands in [`HeldOutSummary::metric`].
+    /// Their residuals, px; [`HeldOutSummary::metric`] says of which kind.
     pub metric_px: Rigs<f64>,
 }
 
@@ -46,7 +46,8 @@ pub struct HeldOutSummary {
     pub folds: Vec<FoldSummary>,
     /// Folds in which the calibrated rig is better than the nominal one.
     pub better_folds: usize,
-    /// What the scatter of the folds' fits says of the covariance, which was widened by it; `null` where there is no covariance.
+    /// What the scatter of the folds' fits says of the covariance, which was widened by it; `null` where there is no
+    /// covariance.
     pub jackknife: Option<Jackknife>,
 }
 
@@ -102,7 +103,8 @@ pub fn hold_out(
     let stop = || if progress.stop_requested() { Err(CalibrationError::Interrupted) } else { Ok(()) };
     let all = |data: &Correspondences| stop().and_then(|()| estimate(&dataset.rig, &config.free, data, config));
     let mount = Free::List(MountComponent::ALL.map(Parameter::Mount).to_vec());
-    // Errors of single postures would take up what is wrong with the arm, and they are zero on held-out postures anyway.
+    // Errors of single postures would take up what is wrong with the arm, and they are zero on held-out postures
+    // anyway.
     let bundle = BundleOptions { posture_errors: PostureErrorPolicy::Off, ..config.bundle.clone() };
     let rigid = Config { bundle, ..config.clone() };
     let mount_only = |data: &Correspondences| stop().and_then(|()| estimate(&dataset.rig, &mount, data, &rigid));
@@ -111,7 +113,8 @@ pub fn hold_out(
     let between: Option<&skclam_calibration::Estimate<'_>> = if arm_is_free { Some(&mount_only) } else { None };
     match cross_validate(&dataset.rig, &thin, &groups, &all, between, &|| progress.step()) {
         Ok(validation) => {
-            // The folds were fitted to a part of the observations: their scatter belongs beside what the same part claims.
+            // The folds were fitted to a part of the observations: their scatter belongs beside what the same part
+            // claims.
             let same = if thin == *data { Ok(whole.clone()) } else { all(&thin) };
             let scatter = match same {
                 Ok(same) => jackknife(&dataset.rig, &same, &validation.folds, &postures)?,

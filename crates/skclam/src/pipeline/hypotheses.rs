@@ -1,9 +1,9 @@
 //! Which gross mistake explains a recording that its rig does not explain at all: each is undone in turn, and what the
 //! images then say decides.
 //!
-//! Matches are gathered anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
-//! is held against the turns of the camera that the matches of single pairs tell ([`screening`]: microseconds each);
-//! the most promising ones, and the data as they stand, get the mount that fits them best, found from nothing
+//! Matches are computed anew without any prediction of the rig, as a wrong one loses the right ones. Every hypothesis
+//! is compared with the camera rotations that the matches of single pairs give ([`screening`]: microseconds each);
+//! the most promising ones, and the unchanged data, get the mount that fits them best, found from nothing
 //! ([`find_mount`]), and are compared by the median Sampson distance of the same matches. A mistake is named only where
 //! undoing it is better by a clear factor, and better than anything else.
 
@@ -44,7 +44,7 @@ pub enum GrossCause {
         /// Which.
         joint: usize,
     },
-    /// The values of two joints stand in each other's column.
+    /// The values of two joints are in each other's column.
     JointsSwapped {
         /// The first.
         a: usize,
@@ -55,7 +55,7 @@ pub enum GrossCause {
     DegreesForRadians,
     /// The columns say degrees and the values are radians.
     RadiansForDegrees,
-    /// The image of a row belongs to the posture that stands so many rows further down (above, where negative).
+    /// The image of a row belongs to the posture that is so many rows further down (above, where negative).
     PosturesShifted {
         /// Rows.
         by: i64,
@@ -86,11 +86,12 @@ pub enum GrossCause {
 pub struct GrossFinding {
     /// Which.
     pub cause: GrossCause,
-    /// Median Sampson distance of the matches with the data as they stand, the mount fitted (but for
+    /// Median Sampson distance of the matches with the unchanged data, the mount fitted (but for
     /// [`GrossCause::MountFarOff`]: with the rig's), px; `None` where no mount fits at all.
     pub before_px: Option<f64>,
     /// The same with the mistake undone and the mount fitted; where no mistake was found, of the best hypothesis; for
-    /// [`GrossCause::SceneOrCamera`] of epipolar geometries that need no intrinsics. px; `None` where no hypothesis fits at all.
+    /// [`GrossCause::SceneOrCamera`] of epipolar geometries that need no intrinsics. px; `None` where no hypothesis
+    /// fits at all.
     pub after_px: Option<f64>,
     /// The next best hypothesis and its median distance, px; `None` where nothing else was tried.
     pub second: Option<(GrossCause, f64)>,
@@ -112,10 +113,10 @@ const MATCHES: usize = 1500;
 const MIN_GAIN: f64 = 3.0;
 /// ... and is smaller than every other hypothesis' by this one.
 const MIN_LEAD: f64 = 1.5;
-/// What a nominal arm leaves with the mount fitted, at the most: so many pixels, or that angle where it is more (its angles
+/// What a nominal arm leaves with the mount fitted, at most: so many pixels, or that angle where it is more (its angles
 /// off by half a degree each, seen at arm's length).
 const MOUNT_LEAVES: (f64, f64) = (3.0, 0.02);
-/// What it leaves with its own angles fitted too, at the most.
+/// What it leaves with its own angles fitted too, at most.
 const ANGLES_LEAVE: (f64, f64) = (3.0, 6e-3);
 /// A mount further off than this was not measured with a ruler: rotation in degrees, translation in millimetres.
 const FAR_OFF: (f64, f64) = (5.0, 50.0);
@@ -126,7 +127,7 @@ const INCONSISTENT: (f64, f64) = (3.0, 1.0);
 /// The angles of an arm that is no other one are within a few of these, degrees.
 const OWN_ARM_DEG: f64 = 1.0;
 
-/// Names the gross mistake that explains why the rig does not explain the images; `None` where the data as they stand
+/// Names the gross mistake that explains why the rig does not explain the images; `None` where the unchanged data
 /// are explained with another calibration of the same rig, or where too few images have anything in common.
 ///
 /// Called when an estimate explains nothing; asked of a good data set it says `None`, too. Deterministic; seconds.
@@ -146,10 +147,10 @@ pub fn find_gross_cause(
     }
     let trial = Trial { pairs: thinned(&pairs), camera };
     let nominal = Candidate::nominal(dataset);
-    let as_it_stands = trial.fit(&nominal)?;
+    let unchanged = trial.fit(&nominal)?;
     let mut finding = GrossFinding {
         cause: GrossCause::OtherArm,
-        before_px: as_it_stands.map(|fit| fit.px),
+        before_px: unchanged.map(|fit| fit.px),
         after_px: None,
         second: None,
         tried: 0,
@@ -181,7 +182,7 @@ pub fn find_gross_cause(
             return Ok(Some(GrossFinding { cause: best.cause, ..finding }));
         }
     }
-    if let Some(fit) = as_it_stands
+    if let Some(fit) = unchanged
         && trial.explained(&nominal, &fit)?
     {
         finding.second = tried.first().map(|best| (best.cause, best.fit.px));

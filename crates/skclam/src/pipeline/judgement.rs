@@ -95,9 +95,10 @@ impl From<Check> for CheckResult {
 const WORSE_CONSISTENCY: f64 = 1.05;
 /// More outliers than this are many.
 const MANY_OUTLIERS: f64 = 0.2;
-/// Held-out residuals beyond so many times the fitted ones, and beyond this many px, show errors that the parameters do not cover.
+/// Held-out residuals beyond so many times the fitted ones, and beyond this many px, show errors that the parameters do
+/// not cover.
 const SYSTEMATIC: (f64, f64) = (10.0, 2.0);
-/// A sigma that had to be widened by more than this factor tells of errors that the model of the noise does not have.
+/// A sigma that had to be widened by more than this factor points to errors that the model of the noise does not have.
 const MUCH_WIDER: f64 = 2.0;
 
 impl Check {
@@ -134,8 +135,9 @@ pub fn judge(summary: &Summary, evidence: &Evidence, case: &VerdictCase, warning
     let others = summary.causes.iter().filter(|cause| in_case != Some(cause));
     checks.extend(others.map(|cause| Check::Cause { cause: cause.clone() }));
     checks.extend(held_out(evidence, summary));
-    if let Some((nominal_mm, calibrated_mm)) =
-        summary.map.and_then(|map| Some((map.agreement_nominal?.median_mm, map.agreement_calibrated?.median_mm)))
+    if let Some((nominal_mm, calibrated_mm)) = summary
+        .map
+        .and_then(|map| Some((map.depth_consistency_nominal?.median_mm, map.depth_consistency_calibrated?.median_mm)))
     {
         checks.push(Check::DepthConsistency { nominal_mm, calibrated_mm });
     }
@@ -211,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_worst_check_decides_and_grades_are_ordered() {
+    fn the_worst_check_decides_and_statuses_are_ordered() {
         use Status::{Bad, Caution, Good};
         assert!(Good < Caution && Caution < Bad);
         let better = Check::HeldOutBetter { nominal_px: 2.0, calibrated_px: 1.0 };

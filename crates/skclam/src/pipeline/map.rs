@@ -54,8 +54,8 @@ pub fn build_maps<const N: usize>(
 /// Images that are decoded side by side before they are handed out in order.
 const DECODED_TOGETHER: usize = 8;
 
-/// Hands out every depth image with its colour image at its pose, in the order of the recording; one step of progress each.
-/// `found_mask` (0 where the colour camera sees what moves with it) serves where the rig brings no mask.
+/// Hands out every depth image with its colour image at its pose, in the order of the recording; one step of progress
+/// each. `found_mask` (0 where the colour camera sees what moves with it) serves where the rig brings no mask.
 pub fn for_each_view(
     dataset: &Dataset,
     poses: &[Isometry3],

@@ -85,7 +85,7 @@ fn described(image: &ImageFeatures) -> DescribedPoints<'_> {
     DescribedPoints { descriptors: &image.features.descriptors, positions: &image.undistorted }
 }
 
-/// The nominal F of Eq. (3); zero where the cameras stand at one place, as then there is no epipolar geometry.
+/// The nominal F of Eq. (3); zero where the cameras are at one place, as then there is no epipolar geometry.
 fn predicted_fundamental(camera: &PinholeCamera, a_from_b: &Isometry3) -> nalgebra::Matrix3<f64> {
     /// A tenth of a millimetre: below it the direction of the baseline is rounding and noise.
     const MIN_BASELINE_M: f64 = 1e-4;

@@ -1,11 +1,11 @@
 //! The spine: one run from images and joints to a calibrated rig and a map.
 
-mod agreement;
 mod boards;
 mod calibrate;
 mod causes;
 mod config;
 mod coverage;
+mod depth_consistency;
 mod ego_mask;
 mod error;
 mod features;
@@ -28,13 +28,15 @@ mod sentences;
 mod validate;
 mod verdict;
 
-pub use agreement::{Agreement, AgreementSample, SurfaceAgreement, surface_agreement};
 pub(crate) use boards::board_alone;
 pub use boards::{BoardSummary, board_layout, find_boards};
 pub use calibrate::calibrate;
 pub use causes::{Cause, Instrument, causes};
 pub use config::{BoardUse, Config, Estimator};
 pub use coverage::{MapCoverage, map_coverage};
+pub use depth_consistency::{
+    DepthConsistencySummary, MeasuredConsistency, PointToPlaneSample, measure_depth_consistency,
+};
 pub use ego_mask::{EgoMaskSummary, drop_ego_masked};
 pub use error::RunError;
 pub use features::{ImageFeatures, extract_features};

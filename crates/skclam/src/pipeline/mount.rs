@@ -27,7 +27,7 @@ pub struct FoundMount {
 
 /// The strongest keypoints of an image that take part: every image is matched with every other.
 const KEYPOINTS: usize = 1500;
-/// Pairs that are matched at the most, evenly over all.
+/// Pairs that are matched at most, evenly over all.
 const PAIRS: usize = 3000;
 /// No camera is mounted farther from a flange.
 const FARTHEST_M: f64 = 1.0;
@@ -42,7 +42,7 @@ pub fn find_mount(dataset: &Dataset, config: &Config, progress: &dyn Progress) -
     let mut chosen: Vec<ImagePair> = (0..images.len()).flat_map(all).collect();
     let stride = chosen.len().div_ceil(PAIRS).max(1);
     chosen = chosen.into_iter().step_by(stride).collect();
-    // No gate: it would be one about the wrong lines. RANSAC alone tells which pairs see the same.
+    // No gate: it would be one about the wrong lines. RANSAC alone decides which pairs see the same.
     let free = Config {
         search: Search::Exhaustive,
         epipolar_gate_deg: None,

@@ -1,4 +1,5 @@
-//! From matches to what the estimators take: points followed over many images, each observation with one refined position.
+//! From matches to what the estimators take: points followed over many images, each observation with one refined
+//! position.
 
 use super::{Config, ImageFeatures, MatchedPair, PlaneWarp, RunError};
 use crate::dataset::Dataset;
@@ -96,14 +97,14 @@ pub fn correspondences(
     Ok((data, Some(summary)))
 }
 
-/// Every k-th track, evenly over the recording, so that about `max_observations` are left: the error falls only with the root
-/// of their number, the time grows with it.
+/// Every k-th track, evenly over the recording, so that about `max_observations` are left: the error falls only with
+/// the root of their number, the time grows with it.
 fn thinned(tracks: Tracks, max_observations: Option<usize>) -> Tracks {
     let Some(limit) = max_observations.filter(|&limit| tracks.observations.len() > limit) else { return tracks };
     let keep = limit as f64 / tracks.observations.len() as f64;
     let mut thin = Tracks { starts: vec![0], counts: tracks.counts, ..Tracks::default() };
     for (index, track) in tracks.iter().enumerate() {
-        // Track k is kept when the running total of shares passes a whole number.
+        // Track k is kept when the running total of fractions passes a whole number.
         if ((index + 1) as f64 * keep).floor() > (index as f64 * keep).floor() {
             thin.observations.extend_from_slice(track);
             thin.starts.push(thin.observations.len());

@@ -20,13 +20,13 @@ pub enum Pairing {
 pub struct PairingOptions {
     /// Neighbours or overlap.
     pub pairing: Pairing,
-    /// Partners of one posture at the most.
+    /// Neighbours of one posture at most.
     pub max_neighbors: usize,
     /// Least predicted overlap: the part of an image that the other shows too.
     pub min_overlap: f64,
-    /// Largest angle between the viewing directions of what both see, degrees: descriptors do not stand more.
+    /// Largest angle between the viewing directions of what both see, degrees: descriptors do not survive more.
     pub max_view_angle_deg: f64,
-    /// Range of depths tried where no depth image tells, metres.
+    /// Range of depths tried where there is no depth image, metres.
     pub assumed_depth_m: [f64; 2],
 }
 
@@ -146,7 +146,8 @@ fn predicted_overlap(a: &PredictedView, b: &PredictedView, camera: &PinholeCamer
     shared as f64 / a.points_in_color.len() as f64
 }
 
-/// Where image B should show a point of image A, if that lies inside it and looks much the same from there; and the point in B's camera.
+/// Where image B should show a point of image A, if that lies inside it and looks much the same from there; and the
+/// point in B's camera.
 pub(crate) fn shown_to(
     point_in_a: &Point3,
     b_from_a: &Isometry3,

@@ -12,12 +12,12 @@ use skclam_geometry::{Isometry3, PinholeCamera, Pixel, Point3};
 
 /// Step of the differences, px: about the sigma of the window in which patches are aligned.
 const STEP_PX: f64 = 6.0;
-/// What the found linear part is believed to, mostly since the nominal rig's rotations are off: the noise beside the
+/// What the found linear part is trusted to, mostly since the nominal rig's rotations are off: the noise beside the
 /// slant's own spread.
 const LINEAR_SIGMA: f64 = 0.02;
 /// Spread of slants, `g / w`: a surface at 45 degrees has 1.
 const SLANT_SIGMA: f64 = 0.7;
-/// Rays that meet at less than this angle tell no depth, rad.
+/// Rays that meet at less than this angle give no depth, rad.
 const MIN_PARALLAX: f64 = 0.02;
 
 /// Predicts from the nominal poses, the camera, and depths where they were measured.
@@ -67,9 +67,9 @@ impl TwoViews<'_> {
         let (along, t) = (self.b_from_a.rotation * self.ray, self.b_from_a.translation.vector);
         let toward = self.camera.unproject(in_b);
         // z along + t is parallel to `toward`.
-        let (across, lever) = (along.cross(&toward), t.cross(&toward));
+        let (across, along_baseline) = (along.cross(&toward), t.cross(&toward));
         let parallax = across.norm() / (along.norm() * toward.norm());
-        let inverse_depth = -across.norm_squared() / across.dot(&lever);
+        let inverse_depth = -across.norm_squared() / across.dot(&along_baseline);
         (parallax > MIN_PARALLAX && inverse_depth.is_finite() && inverse_depth > 0.0).then_some(inverse_depth)
     }
 

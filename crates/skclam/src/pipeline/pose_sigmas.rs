@@ -31,21 +31,22 @@ pub struct PoseSigma {
     pub index: u64,
     /// Position of the camera in the base frame by the calibrated rig, mm.
     pub camera_mm: [f64; 3],
-    /// How far the calibration moves the camera there, after the base's gauge, mm: the nominal rig's position error as far as
-    /// the calibration knows it.
+    /// How far the calibration moves the camera there, after the base's gauge, mm: the nominal rig's position error as
+    /// far as the calibration knows it.
     pub camera_change_mm: f64,
     /// Standard deviation of the camera's position in space, mm; `null` where the estimator gives no covariance.
     pub camera_sigma_mm: Option<f64>,
     /// Standard deviation of the camera's orientation, degrees.
     pub camera_sigma_deg: Option<f64>,
-    /// Standard deviation of the flange's position in space, mm; `null` where the controller's pose of it is taken as exact.
+    /// Standard deviation of the flange's position in space, mm; `null` where the controller's pose of it is taken as
+    /// exact.
     pub flange_sigma_mm: Option<f64>,
     /// Standard deviation of the flange's orientation, degrees.
     pub flange_sigma_deg: Option<f64>,
 }
 
-/// Position error of the camera (root of the mean square over some postures), with the base frame fitted to them: what is left for whoever registers the base with the arm itself,
-/// as standards of absolute accuracy have it (ISO 9283).
+/// Position error of the camera (root of the mean square over some postures), with the base frame fitted to them: what
+/// is left for whoever registers the base with the arm itself, as standards of absolute accuracy have it (ISO 9283).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RegisteredError {
     /// How far the calibration moves the camera, mm.
@@ -80,7 +81,8 @@ pub struct PoseSigmaSummary {
     pub postures: usize,
     /// How far the calibration moves the camera, after the base's gauge, mm.
     pub camera_change_mm: Statistics,
-    /// What the position error of the camera is about, with the base frame fitted to the postures; `null` where the estimator gives no covariance.
+    /// What the position error of the camera is about, with the base frame fitted to the postures; `null` where the
+    /// estimator gives no covariance.
     pub registered: Option<RegisteredError>,
     /// Standard deviation of the camera's position, mm.
     pub camera_sigma_mm: Option<Statistics>,
@@ -176,8 +178,8 @@ fn table(
     Ok((0..postures.len()).map(row).collect())
 }
 
-/// Postures spread evenly over the joints' limits, by Halton's sequence. A revolute joint without limits turns once around; a
-/// prismatic one keeps to the range of the recording.
+/// Postures spread evenly over the joints' limits, by Halton's sequence. A revolute joint without limits turns once
+/// around; a prismatic one keeps to the range of the recording.
 fn spread_postures(robot: &SerialChain, recorded: &[Posture], count: usize) -> Vec<Posture> {
     let ranges: Vec<[f64; 2]> = robot
         .joints()
@@ -241,7 +243,8 @@ pub fn pose_sigmas_csv(poses: &[PoseSigma]) -> String {
     text
 }
 
-/// The covariance of the free parameters as CSV, in the units of the header (deg, mm, px ...); `None` where the estimator gives none.
+/// The covariance of the free parameters as CSV, in the units of the header (deg, mm, px ...); `None` where the
+/// estimator gives none.
 pub fn covariance_csv(calibration: &Calibration) -> Option<String> {
     let covariance = calibration.covariance.as_ref()?;
     let names: Vec<(String, f64)> = calibration

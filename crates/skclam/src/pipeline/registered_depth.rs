@@ -12,9 +12,10 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use skclam_geometry::{DepthCamera, DepthImage, Isometry3, PinholeCamera, Pixel, Point3};
 
 /// The window reaches so many pixels from its centre. A larger one averages more, but what neighbours have in common it
-/// cannot, and steps too small to be told from noise bend its plane at more of the features.
+/// cannot, and steps too small to be distinguished from noise bend its plane at more of the features.
 const HALF_WINDOW: i64 = 1;
-/// The window that a slope is read from: nine readings would tell it only to `0.4 s f z^2` (noise `s z^2`, focal length `f` of the depth camera), 81 tell it nine times better.
+/// The window that a slope is read from: nine readings would give it only to `0.4 s f z^2` (noise `s z^2`, focal length
+/// `f` of the depth camera), 81 give it nine times better.
 const SLOPE_HALF_WINDOW: i64 = 4;
 /// Least part of a window's pixels with a value.
 const MIN_READINGS: f64 = 0.75;
@@ -23,7 +24,7 @@ const MIN_READINGS: f64 = 0.75;
 const MAX_SQUARES: f64 = 2.3;
 /// No sensor is better, relative to the inverse depth: what remains of exact images is the curvature of surfaces.
 const MIN_RELATIVE_SIGMA: f64 = 1e-3;
-/// Iterations at the most; with a baseline of centimetres two or three do.
+/// Iterations at most; with a baseline of centimetres two or three do.
 const MAX_ITERATIONS: usize = 12;
 /// Pixels apart at which the noise of the sensor is no longer common: windows of stereo matching are narrower.
 const FAR_PX: usize = 8;
@@ -38,8 +39,8 @@ pub struct DepthSample {
     /// Standard deviation relative to that of a single reading of the image: the fit averages what neighbours do not
     /// have in common.
     pub relative_sigma: f64,
-    /// How z-depth changes with the normalised coordinates x and y of the colour image, m; `None` where a window that is wide enough to tell it well meets
-    /// more than one plane.
+    /// How z-depth changes with the normalised coordinates x and y of the colour image, m; `None` where a window that
+    /// is wide enough to determine it well meets more than one plane.
     pub slope_m: Option<[f64; 2]>,
 }
 
@@ -94,8 +95,8 @@ impl<'a> RegisteredDepth<'a> {
         })
     }
 
-    /// z-depth in the colour camera's frame, metres, of what a colour pixel (distortion included) shows; `None` at holes, at
-    /// depth edges and outside the depth image.
+    /// z-depth in the colour camera's frame, metres, of what a colour pixel (distortion included) shows; `None` at
+    /// holes, at depth edges and outside the depth image.
     pub fn at(&self, pixel: &Pixel) -> Option<f64> {
         self.sample_at(pixel).map(|sample| sample.depth_m)
     }
@@ -175,7 +176,7 @@ impl<'a> RegisteredDepth<'a> {
         Some(Window { centre, half, inverse_depth: plane.x, by_pixel: plane.yz(), cofactors })
     }
 
-    /// Whether the readings lie on their plane as far as the noise lets one tell.
+    /// Whether the readings lie on their plane as far as the noise allows to say.
     fn is_whole(&self, window: &Window) -> bool {
         // A count of the image is one step of depth, whose inverse is coarser the nearer.
         let rounding = self.depth_camera.unit_m * window.inverse_depth.powi(2) / 12f64.sqrt();

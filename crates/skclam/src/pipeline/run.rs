@@ -6,13 +6,13 @@ use super::sentences::verdict_sentence;
 use super::verdict::{Evidence, VerdictCase};
 use super::{
     Config, ImageFeatures, MatchedPair, PoseSigma, PoseSigmas, RunError, Scale, build_maps, calibrate, causes,
-    hold_out, judge, localize, map_coverage, pose_sigmas, surface_agreement, worst,
+    hold_out, judge, localize, map_coverage, measure_depth_consistency, pose_sigmas, worst,
 };
 use crate::dataset::{Dataset, DatasetError};
 use crate::output::StagedFolder;
 use crate::progress::{Progress, Stage};
 use crate::report_data::{ReportData, sample_map};
-use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, Summary, total_counts};
+use crate::summary::{CalibrationSummary, Counts, MapSummary, PairSummary, SCHEMA_VERSION, Summary, total_counts};
 use crate::trajectory::{StampedPose, trajectory_text};
 use image::GrayImage;
 use skclam_calibration::{Calibration, Warning};
@@ -41,7 +41,8 @@ pub struct Outcome {
     pub rig: Rig,
     /// Where the camera was, by the calibrated rig.
     pub trajectory: Vec<StampedPose>,
-    /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of its own.
+    /// 0 where the colour camera sees what moves with it; `None` where nothing was found, or the rig brings a mask of
+    /// its own.
     pub mask: Option<GrayImage>,
     /// What is known of flange and camera, at the recorded postures and over the workspace.
     pub pose_sigmas: Vec<PoseSigma>,
@@ -57,7 +58,8 @@ pub struct Outcome {
 pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<Outcome, RunError> {
     let (mut outcome, judging) = estimate(dataset, config, progress)?;
     let nominal = localize(dataset, &dataset.rig)?;
-    // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the poses alone differ.
+    // Depths are measured with the calibrated scale and offset from here on; at the nominal poses too, so that the
+    // poses alone differ.
     let corrected = Dataset { rig: Rig { depth: outcome.rig.depth, ..dataset.rig.clone() }, ..dataset.clone() };
     let dataset = &corrected;
     let poses = |trajectory: &[StampedPose]| {
@@ -74,16 +76,21 @@ pub fn run(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resul
     )?;
     outcome.maps = maps.map(|[calibrated, nominal]| Maps { calibrated, nominal });
     if let Some(maps) = &outcome.maps {
-        let [calibrated, nominal] = surface_agreement(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
+        let [calibrated, nominal] =
+            measure_depth_consistency(dataset, [&calibrated_poses, &nominal_poses], &outcome.rig)?;
         progress.begin(Stage::Report, 1);
         let samples = [&calibrated.samples[..], &nominal.samples[..]];
         outcome.report.map = sample_map(dataset, &outcome.rig, outcome.mask.as_ref(), samples)?;
         progress.step();
-        let [agreement_calibrated, agreement_nominal] = [calibrated.surfaces, nominal.surfaces];
+        let [depth_consistency_calibrated, depth_consistency_nominal] = [calibrated.surfaces, nominal.surfaces];
         let mask = outcome.mask.as_ref();
         let coverage = map_coverage(dataset, &calibrated_poses, &outcome.rig, mask, config.cloud.filter)?;
-        outcome.summary.map =
-            Some(MapSummary { points: maps.calibrated.len(), agreement_nominal, agreement_calibrated, coverage });
+        outcome.summary.map = Some(MapSummary {
+            points: maps.calibrated.len(),
+            depth_consistency_nominal,
+            depth_consistency_calibrated,
+            coverage,
+        });
     }
     judging.conclude(&mut outcome);
     Ok(outcome)
@@ -111,7 +118,8 @@ impl Judging {
 
 /// The estimate, judged on held-out postures.
 fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<(Outcome, Judging), RunError> {
-    let FrontEnd { images, pairs, data, tracks, mut board, mut told, ego_mask } = front_end(dataset, config, progress)?;
+    let FrontEnd { images, pairs, data, tracks, mut board, warnings: mut texts, ego_mask } =
+        front_end(dataset, config, progress)?;
     let mut calibration = calibrate(dataset, &data, config, progress)?;
     if let Some(summary) = &mut board {
         summary.compare(dataset, &data, &calibration)?;
@@ -122,7 +130,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         false => hold_out(dataset, &data, &calibration, config, progress)?,
     };
     if let Err(reason) = &held_out {
-        told.push(format!("the calibration was not judged on held-out postures: {reason}"));
+        texts.push(format!("the calibration was not judged on held-out postures: {reason}"));
     }
     let held_out = held_out.ok();
     if let Some(jackknife) = held_out.as_ref().and_then(|held_out| held_out.jackknife) {
@@ -148,6 +156,7 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     let summary = Summary {
         program: "skclam".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        schema_version: SCHEMA_VERSION,
         verdict: verdict_sentence(&case),
         status: case.status(),
         case: case.clone(),
@@ -184,11 +193,11 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
         workspace_poses,
         map: None,
         warnings: {
-            told.extend(warnings(&calibration, pairs.len()));
+            texts.extend(warnings(&calibration, pairs.len()));
             if !calibration.warnings.iter().any(|warning| matches!(warning, Warning::NoBaseline { .. })) {
-                told.extend(identical_postures(dataset, &images, &pairs));
+                texts.extend(identical_postures(dataset, &images, &pairs));
             }
-            told
+            texts
         },
         configuration: config.clone(),
         stages: Vec::new(),
@@ -200,23 +209,23 @@ fn estimate(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Resu
     ))
 }
 
-/// Warnings in words. Where many pairs share little, one sentence tells it for all of them: pairs are chosen generously, and the
-/// counts of each stand in the summary.
+/// Warnings in words. Where many pairs share little, one sentence says it for all of them: pairs are chosen generously,
+/// and the counts of each are in the summary.
 fn warnings(calibration: &Calibration, pairs: usize) -> Vec<String> {
-    const TOLD_ONE_BY_ONE: usize = 3;
+    const LISTED_ONE_BY_ONE: usize = 3;
     let few = calibration.warnings.iter().filter(|warning| matches!(warning, Warning::FewMatches { .. })).count();
-    let one_by_one = few <= TOLD_ONE_BY_ONE;
-    let told =
+    let one_by_one = few <= LISTED_ONE_BY_ONE;
+    let warnings =
         calibration.warnings.iter().filter(|warning| one_by_one || !matches!(warning, Warning::FewMatches { .. }));
-    let mut texts: Vec<String> = told.map(Warning::to_string).collect();
+    let mut texts: Vec<String> = warnings.map(Warning::to_string).collect();
     if !one_by_one {
         texts.push(format!("{few} of {pairs} pairs share hardly any matches; see \"pairs\" in summary.json"));
     }
     texts
 }
 
-/// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm (the
-/// paper's 73rd posture equals its first).
+/// Pairs of images taken from one place, by the nominal rig: they have no epipolar geometry and say nothing of the arm
+/// (the paper's 73rd posture equals its first).
 fn identical_postures(dataset: &Dataset, images: &[ImageFeatures], pairs: &[MatchedPair]) -> Vec<String> {
     const ONE_PLACE_M: f64 = 1e-4;
     let center = |position: usize| images[position].view.base_from_color.translation.vector;

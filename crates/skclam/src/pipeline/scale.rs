@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use skclam_calibration::{Calibration, Correspondences, Parameter};
 use skclam_kinematics::ParameterKind;
 
-/// What tells lengths.
+/// What determines lengths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScaleSource {
@@ -26,7 +26,7 @@ pub enum ScaleSource {
 /// The scale of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
-    /// What tells lengths.
+    /// What determines lengths.
     pub source: ScaleSource,
     /// The standard of length, whose own error no residual shows; `null` where there is none.
     pub ruler: Option<RulerSummary>,
@@ -43,7 +43,7 @@ pub struct RulerSummary {
     pub scale_error_percent: f64,
     /// Sigma of that, %.
     pub sigma_percent: f64,
-    /// Whether the estimate takes it at its word, since nothing contradicts that.
+    /// Whether the estimate takes it as exact, since nothing contradicts that.
     pub held: bool,
 }
 

@@ -149,7 +149,10 @@ pub fn cause_text(cause: &Cause) -> String {
                     if *harmonic == 1 { "one period" } else { "two periods" }
                 ),
                 ErrorPattern::Compliance { joint } => {
-                    format!("joint {} gives way under the arm's weight by {value} of lever arm (compliance)", joint + 1)
+                    format!(
+                        "joint {} gives way under the arm's weight by {value} of gravity torque arm (compliance)",
+                        joint + 1
+                    )
                 }
             }
         }

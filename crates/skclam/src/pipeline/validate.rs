@@ -2,7 +2,7 @@
 
 use super::front_end::{FrontEnd, front_end};
 use super::verdict::UNEXPLAINED_PX;
-use super::{Config, RunError, Status, SurfaceAgreement, localize, surface_agreement};
+use super::{Config, DepthConsistencySummary, RunError, Status, localize, measure_depth_consistency};
 use crate::dataset::Dataset;
 use crate::progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
@@ -33,7 +33,8 @@ pub struct Validation {
     pub matches: usize,
     /// Observations of points followed over several images.
     pub observations: usize,
-    /// By which metric rigs are judged: "reprojection, RMS" (scene and board where other arm positions saw them under the same rig) or "epipolar distance, median".
+    /// By which metric rigs are judged: "reprojection, RMS" (scene and board where other arm positions saw them under
+    /// the same rig) or "epipolar distance, median".
     pub metric: String,
     /// That metric, px: the nominal rig of the data set and (as `calibrated`) the rig under test.
     pub metric_px: Rigs<f64>,
@@ -42,10 +43,10 @@ pub struct Validation {
     /// Epipolar distances of the pair matches.
     pub epipolar: Rigs<EpipolarStatistics>,
     /// How far apart the depth images are; `null` without depth.
-    pub depth_agreement: Option<Rigs<SurfaceAgreement>>,
+    pub depth_consistency: Option<Rigs<DepthConsistencySummary>>,
     /// Reprojection posture by posture, where the rig under test fits worst first.
     pub by_posture: Vec<PostureMetric>,
-    /// What a person should hear of.
+    /// What a user should know.
     pub warnings: Vec<String>,
 }
 
@@ -87,8 +88,8 @@ impl ValidationCase {
     }
 }
 
-/// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to the data set first, and
-/// nothing else: `mount` after the camera was taken off.
+/// Measures `rig` on a data set, beside the data set's own. With `refit`, those parameters of either rig are fitted to
+/// the data set first, and nothing else: `mount` after the camera was taken off.
 pub fn validate(
     dataset: &Dataset,
     rig: &Rig,
@@ -126,13 +127,13 @@ pub fn validate(
         Ok(localize(dataset, rig)?.into_iter().map(|stamped| stamped.base_from_camera).collect())
     };
     let (nominal_poses, tested_poses) = (poses(&nominal.rig)?, poses(&tested.rig)?);
-    let [before, after] = surface_agreement(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
-    let depth_agreement =
+    let [before, after] = measure_depth_consistency(dataset, [&nominal_poses, &tested_poses], &dataset.rig)?;
+    let depth_consistency =
         before.surfaces.zip(after.surfaces).map(|(nominal, calibrated)| Rigs { nominal, mount_only: None, calibrated });
     let refit = refit.map(label).unwrap_or_default();
-    let case = case(metric_px, &comparison, depth_agreement.as_ref());
+    let case = case(metric_px, &comparison, depth_consistency.as_ref());
     Ok(Validation {
-        verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_agreement.as_ref()),
+        verdict: sentence(case, metric, metric_px, &refit, &comparison, depth_consistency.as_ref()),
         status: case.status(),
         case,
         by_posture,
@@ -145,12 +146,13 @@ pub fn validate(
         metric_px,
         reprojection: comparison.reprojection,
         epipolar: comparison.epipolar,
-        depth_agreement,
+        depth_consistency,
         warnings: Vec::new(),
     })
 }
 
-/// Expected sigma of an observation, px: only for the gate beyond which one that fits neither rig counts as a wrong match.
+/// Expected sigma of an observation, px: only for the gate beyond which one that fits neither rig counts as a wrong
+/// match.
 const SIGMA_PX: f64 = 1.0;
 
 fn refitted(rig: &Rig, free: &Free, data: &Correspondences, config: &Config) -> Result<Model, RunError> {
@@ -171,7 +173,7 @@ fn label(free: &Free) -> String {
 }
 
 /// A rig under which the depth images lie farther apart than this times the other's does not hold.
-const WORSE_AGREEMENT: f64 = 1.05;
+const WORSE_CONSISTENCY: f64 = 1.05;
 /// A metric over fewer of the observations says little of the rig.
 const MANY_LEFT_OUT: f64 = 0.2;
 /// Reprojection beyond this is not explained, px: errors of single postures make a pixel or two.
@@ -180,7 +182,7 @@ const UNEXPLAINED_RMS_PX: f64 = 5.0;
 /// Metrics nearer to each other than this are the same.
 const SAME_PX: f64 = 1e-6;
 
-fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<SurfaceAgreement>>) -> ValidationCase {
+fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<DepthConsistencySummary>>) -> ValidationCase {
     let lines = comparison.epipolar.calibrated;
     let observations = comparison.reprojection.calibrated;
     let left_out = 1.0 - observations.inliers as f64 / observations.observations.max(1) as f64;
@@ -192,7 +194,7 @@ fn case(px: Rigs<f64>, comparison: &Comparison, depth: Option<&Rigs<SurfaceAgree
         || observations.observations > 0 && (left_out > MANY_LEFT_OUT || observations.rms_px > UNEXPLAINED_RMS_PX)
     {
         ValidationCase::BetterButUnexplained
-    } else if depth.is_some_and(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_AGREEMENT) {
+    } else if depth.is_some_and(|d| d.calibrated.median_mm > d.nominal.median_mm * WORSE_CONSISTENCY) {
         ValidationCase::DepthInconsistent
     } else {
         ValidationCase::Holds
@@ -205,7 +207,7 @@ fn sentence(
     px: Rigs<f64>,
     refit: &str,
     comparison: &Comparison,
-    depth: Option<&Rigs<SurfaceAgreement>>,
+    depth: Option<&Rigs<DepthConsistencySummary>>,
 ) -> String {
     let with = if refit.is_empty() { String::new() } else { format!(", after fitting {refit} of both anew") };
     let observations = comparison.reprojection.calibrated;
@@ -226,7 +228,7 @@ fn sentence(
         ValidationCase::DepthInconsistent => {
             let mm = depth.map_or([0.0; 2], |depth| [depth.calibrated.median_mm, depth.nominal.median_mm]);
             format!(
-                "The rig fits the images, but NOT the depth: its depth images lie {:.1} mm apart, those of the data set's own rig {:.1} mm ({metrics}).",
+                "The rig fits the images, but NOT the depth: its depth consistency (point to plane) is {:.1} mm, that of the data set's own rig {:.1} mm ({metrics}).",
                 mm[0], mm[1]
             )
         }
@@ -242,13 +244,13 @@ mod tests {
         fn rigs<T>(nominal: T, calibrated: T) -> Rigs<T> {
             Rigs { nominal, mount_only: None, calibrated }
         }
-        let found = |px: [f64; 2], median_px: f64, inliers: usize, rms_px: f64, apart: f64| {
+        let found = |px: [f64; 2], median_px: f64, inliers: usize, rms_px: f64, distance_mm: f64| {
             let lines = EpipolarStatistics { matches: 100, median_px, ..Default::default() };
             let observations = ReprojectionStatistics { observations: 100, inliers, rms_px, ..Default::default() };
             let comparison =
                 Comparison { reprojection: rigs(observations, observations), epipolar: rigs(lines, lines) };
-            let surfaces = |median_mm| SurfaceAgreement { median_mm, ..Default::default() };
-            let depth = rigs(surfaces(5.0), surfaces(apart));
+            let surfaces = |median_mm| DepthConsistencySummary { median_mm, ..Default::default() };
+            let depth = rigs(surfaces(5.0), surfaces(distance_mm));
             let px = rigs(px[0], px[1]);
             let case = case(px, &comparison, Some(&depth));
             (case, sentence(case, "reprojection, RMS", px, "", &comparison, Some(&depth)))

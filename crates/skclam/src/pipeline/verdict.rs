@@ -1,4 +1,5 @@
-//! The verdict of a run as a table of cases: numbers in, a status and one case out. Its words are made in [`super::sentences`].
+//! The verdict of a run as a table of cases: numbers in, a status and one case out. Its words are made in
+//! [`super::sentences`].
 
 use super::{Cause, HeldOutSummary, RegisteredError};
 use serde::{Deserialize, Serialize};
@@ -19,11 +20,13 @@ pub enum Status {
 /// The numbers that a verdict follows from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// Median distance of a match to its epipolar line under the nominal rig and the calibrated one, px; `null` without matches.
+    /// Median distance of a match to its epipolar line under the nominal rig and the calibrated one, px; `null` without
+    /// matches.
     pub epipolar_px: Option<[f64; 2]>,
     /// RMS reprojection of the observations that fit, calibrated, px; `null` where the estimator has none.
     pub reprojection_px: Option<f64>,
-    /// By how much residuals scatter more than their observations say, where that is more than features and corners ever do.
+    /// By how much residuals scatter more than their observations say, where that is more than features and corners
+    /// ever do.
     pub contradiction: Option<f64>,
     /// RMS (or median) over held-out postures, px; `null` where nothing could be held out.
     pub held_out_px: Option<Rigs<f64>>,
@@ -103,8 +106,8 @@ pub enum VerdictCase {
     },
 }
 
-/// Observations that keep farther than this from where they should be are not explained by the rig, px: keypoints and corners are
-/// found to a fraction of a pixel, and poor intrinsics add a pixel or so.
+/// Observations that keep farther than this from where they should be are not explained by the rig, px: keypoints and
+/// corners are found to a fraction of a pixel, and poor intrinsics add a pixel or so.
 pub(super) const UNEXPLAINED_PX: f64 = 2.0;
 
 impl Evidence {

@@ -1,9 +1,10 @@
-//! `report_data.json`: what the report shows beside the metrics of `summary.json`, so that it can be built again from the result
-//! folder alone.
+//! `report_data.json`: what the report shows beside the metrics of `summary.json`, so that it can be built again from
+//! the result folder alone.
 //!
-//! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of numbers by the
-//! thousand are base64 of little-endian arrays ([`Packed`]); pictures are base64 of JPEG files. Positions in the recording ("posture
-//! 3") count from 0; `index` is the recording's own name of a posture. A reader refuses a `format` that it does not know.
+//! Everything here follows from the data set and the calibration, the same bytes on any number of threads. Lists of
+//! numbers by the thousand are base64 of little-endian arrays ([`Packed`]); images are base64 of JPEG files. Positions
+//! in the recording ("posture 3") count from 0; `index` is the recording's own name of a posture. A reader refuses a
+//! `format` that it does not know.
 
 mod map_samples;
 mod packed;
@@ -14,7 +15,7 @@ pub use map_samples::{MapSamples, sample_map};
 pub use packed::{EmbeddedImage, Packed};
 pub use pair_images::{DrawnMatch, PairImages, pair_images};
 pub use residuals::{
-    Ends, Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, residual_data,
+    Histogram, ImageCell, PairResiduals, PostureResiduals, ResidualData, ResidualKind, ResidualQuantiles, residual_data,
 };
 
 use crate::dataset::Dataset;

@@ -1,10 +1,10 @@
-//! Numbers by the thousand and pictures as text inside JSON.
+//! Numbers by the thousand and images as text inside JSON.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 
-/// A list of numbers: base64 of their little-endian bytes. The type is told by the field that holds it.
+/// A list of numbers: base64 of their little-endian bytes. The type follows from the field that holds it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Packed(pub String);
@@ -33,7 +33,7 @@ impl Packed {
     }
 }
 
-/// A JPEG picture.
+/// A JPEG image.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EmbeddedImage {
     /// Pixels across.

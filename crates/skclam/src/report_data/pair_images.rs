@@ -1,6 +1,7 @@
-//! The worst, the median and the best pair as small pictures, with some matches and their epipolar lines before and after.
+//! The worst, the median and the best pair as small images, with some matches and their epipolar lines before and
+//! after.
 
-use super::residuals::PairEnds;
+use super::residuals::PairResidualVectors;
 use super::{EmbeddedImage, Packed, PairResiduals, ResidualData, rounded};
 use crate::dataset::{Dataset, DatasetError};
 use crate::pipeline::RunError;
@@ -10,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use skclam_calibration::{Correspondences, Model, PairMatch, camera_poses};
 use skclam_geometry::{EpipolarLine, FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
 
-/// Longer edge of a picture, px.
-const PICTURE_PX: u32 = 640;
+/// Longer edge of an image, px.
+const IMAGE_PX: u32 = 640;
 /// JPEG quality.
 const QUALITY: u8 = 78;
 /// Matches that are drawn on a pair.
@@ -21,8 +22,8 @@ const MIN_MATCHES: usize = 8;
 /// Straight pieces of a line; distorted lines are bent.
 const PIECES: usize = 24;
 
-/// A pair with matches drawn on it. Pixels of the small pictures: (0, 0) is the outer corner of the top-left pixel, so that a picture
-/// spans its width and height.
+/// A pair with matches drawn on it. Pixels of the small images: (0, 0) is the outer corner of the top-left pixel, so
+/// that an image spans its width and height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairImages {
     /// "worst", "median" or "best", by the median distance after the calibration.
@@ -42,7 +43,7 @@ pub struct PairImages {
 pub struct DrawnMatch {
     /// Where the two images show it.
     pub points: [[f64; 2]; 2],
-    /// In each image, the line that the nominal rig gives its neighbor.
+    /// In each image, the line that the nominal rig gives its match.
     pub lines_before: [Vec<[f64; 2]>; 2],
     /// The same by the calibrated rig.
     pub lines_after: [Vec<[f64; 2]>; 2],
@@ -58,7 +59,7 @@ pub fn pair_images(
     data: &Correspondences,
     calibrated: &Model,
     residuals: &ResidualData,
-    per_match: &[PairEnds],
+    per_match: &[PairResidualVectors],
 ) -> Result<Vec<PairImages>, RunError> {
     let nominal = Model::new(dataset.rig.clone());
     let poses = [camera_poses(&nominal, &data.postures)?, camera_poses(calibrated, &data.postures)?];
@@ -111,7 +112,7 @@ fn ranked(pairs: &[PairResiduals]) -> Vec<(&'static str, PairResiduals)> {
 fn small(dataset: &Dataset, posture: usize) -> Result<EmbeddedImage, RunError> {
     let image = dataset.color(posture)?;
     let (width, height) = image.dimensions();
-    let factor = (f64::from(PICTURE_PX) / f64::from(width.max(height))).min(1.0);
+    let factor = (f64::from(IMAGE_PX) / f64::from(width.max(height))).min(1.0);
     let along = |pixels: u32| ((f64::from(pixels) * factor).round() as u32).max(1);
     let image = resize(&image, along(width), along(height), FilterType::Triangle);
     let mut jpeg = Vec::new();
@@ -161,7 +162,7 @@ fn bent(line: &EpipolarLine, camera: &PinholeCamera, scale: f64) -> Vec<[f64; 2]
     if camera.is_distorted() || points.len() < 2 {
         return points;
     }
-    // Without distortion it is straight, and its ends tell it.
+    // Without distortion it is straight, and its endpoints define it.
     vec![points[0], points[points.len() - 1]]
 }
 

@@ -1,6 +1,7 @@
-//! How far matches are from their epipolar lines, summed up in the ways that show systematic patterns: as a histogram, by posture and by pair; and by place
-//! in the image, where observations stand beside the projections of their points. Where no pair was heard (a board alone), histogram and postures are of
-//! the observations too. Every metric is over all of them, none is drawn at random.
+//! How far matches are from their epipolar lines, summed up so as to show systematic patterns: as a histogram, by
+//! posture and by pair; and by place in the image, where observations are beside the projections of their points. Where
+//! no pair was used (a board alone), histogram and postures are of the observations too. Every metric is over all of
+//! them, none is drawn at random.
 
 use super::rounded;
 use crate::dataset::Dataset;
@@ -21,14 +22,15 @@ const CELLS_ACROSS: u32 = 16;
 /// A cell with fewer residuals says nothing.
 const MIN_RESIDUALS: usize = 8;
 
-/// Residuals before and after. An end of a match is one of its two pixels; each has a distance to its line. Where there are no matches, an end is a
-/// observation of a board's corner or of a scene point, and its distance is to where that should appear.
+/// Residuals before and after. An endpoint of a match is one of its two pixels; each has a distance to its line. Where
+/// there are no matches, an endpoint is a observation of a board's corner or of a scene point, and its distance is to
+/// where that should appear.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualData {
     /// What the distances of `histogram` and `postures` are.
     #[serde(default)]
     pub distances: ResidualKind,
-    /// Distances of all ends.
+    /// Distances of all endpoints.
     pub histogram: Histogram,
     /// One a posture, in their order.
     pub postures: Vec<PostureResiduals>,
@@ -53,7 +55,7 @@ pub enum ResidualKind {
     Epipolar,
 }
 
-/// Numbers of ends by distance.
+/// Numbers of endpoints by distance.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Histogram {
     /// Limits between bins, px; one more than bins.
@@ -64,9 +66,9 @@ pub struct Histogram {
     pub after: Vec<u64>,
 }
 
-/// Distances of the ends in some part of the data under one rig.
+/// Distances of the endpoints in some part of the data under one rig.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Ends {
+pub struct ResidualQuantiles {
     /// Median distance to the line, px.
     pub median_px: f64,
     /// 90th percentile, px.
@@ -76,12 +78,12 @@ pub struct Ends {
 /// One posture.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PostureResiduals {
-    /// Ends in its image.
-    pub ends: usize,
+    /// ResidualQuantiles in its image.
+    pub endpoints: usize,
     /// Under the nominal rig.
-    pub before: Ends,
+    pub before: ResidualQuantiles,
     /// Under the calibrated rig.
-    pub after: Ends,
+    pub after: ResidualQuantiles,
 }
 
 /// One pair.
@@ -113,13 +115,13 @@ pub struct ImageCell {
 }
 
 /// Residuals of one pair's matches, before and after.
-pub(super) type PairEnds = Option<[Vec<EpipolarResidual>; 2]>;
+pub(super) type PairResidualVectors = Option<[Vec<EpipolarResidual>; 2]>;
 
-/// One end: where it is, and its ways to the line before and after.
-struct End {
+/// One endpoint: where it is, and its residuals before and after.
+struct Endpoint {
     posture: usize,
     pixel: Pixel,
-    ways: [Vector2<f64>; 2],
+    residuals_px: [Vector2<f64>; 2],
 }
 
 /// A pixel and its residuals before and after.
@@ -130,12 +132,12 @@ pub fn residual_data(
     dataset: &Dataset,
     data: &Correspondences,
     calibration: &Calibration,
-) -> Result<(ResidualData, Vec<PairEnds>), RunError> {
+) -> Result<(ResidualData, Vec<PairResidualVectors>), RunError> {
     let before = epipolar_residuals(&Model::new(dataset.rig.clone()), data)?;
     let after = epipolar_residuals(&calibration.model, data)?;
-    let per_match: Vec<PairEnds> =
+    let per_match: Vec<PairResidualVectors> =
         before.into_iter().zip(after).map(|(before, after)| Some([before?, after?])).collect();
-    let mut ends = Vec::new();
+    let mut endpoints = Vec::new();
     let mut pairs = Vec::new();
     for (pair, residuals) in data.pairs.iter().zip(&per_match) {
         let Some([before, after]) = residuals else { continue };
@@ -143,8 +145,8 @@ pub fn residual_data(
             continue;
         }
         for ((m, before), after) in pair.matches.iter().zip(before).zip(after) {
-            ends.push(End { posture: pair.a, pixel: m.in_a, ways: [before.in_a, after.in_a] });
-            ends.push(End { posture: pair.b, pixel: m.in_b, ways: [before.in_b, after.in_b] });
+            endpoints.push(Endpoint { posture: pair.a, pixel: m.in_a, residuals_px: [before.in_a, after.in_a] });
+            endpoints.push(Endpoint { posture: pair.b, pixel: m.in_b, residuals_px: [before.in_b, after.in_b] });
         }
         let median = |residuals: &[EpipolarResidual]| {
             let mut distances: Vec<f64> =
@@ -159,8 +161,14 @@ pub fn residual_data(
     let reprojection =
         reprojection_residuals(&Model::new(dataset.rig.clone()), &calibration.model, data, calibration.noise.pixel)?;
     let (arrows, places): (_, Vec<Place>) = if reprojection.is_empty() {
-        // A residual is what was seen less what should be: against the way to the line.
-        (ResidualKind::Epipolar, ends.iter().map(|end| (end.pixel, end.ways.map(|way| -way))).collect())
+        // A residual is what was seen less what should be: opposite to the vector to the line.
+        (
+            ResidualKind::Epipolar,
+            endpoints
+                .iter()
+                .map(|endpoint| (endpoint.pixel, endpoint.residuals_px.map(|residual| -residual)))
+                .collect(),
+        )
     } else {
         (
             ResidualKind::Reprojection,
@@ -171,19 +179,19 @@ pub fn residual_data(
         )
     };
     let (grid, cells) = cells(&places, camera.width, camera.height);
-    let distances = if ends.is_empty() { arrows } else { ResidualKind::Epipolar };
-    if ends.is_empty() {
-        ends.extend(reprojection.iter().map(|observation| End {
+    let distances = if endpoints.is_empty() { arrows } else { ResidualKind::Epipolar };
+    if endpoints.is_empty() {
+        endpoints.extend(reprojection.iter().map(|observation| Endpoint {
             posture: observation.posture,
             pixel: observation.pixel,
-            ways: [observation.nominal, observation.calibrated],
+            residuals_px: [observation.nominal, observation.calibrated],
         }));
     }
-    let postures = postures(&ends, data.postures.len());
-    Ok((ResidualData { distances, histogram: histogram(&ends), postures, pairs, grid, arrows, cells }, per_match))
+    let postures = postures(&endpoints, data.postures.len());
+    Ok((ResidualData { distances, histogram: histogram(&endpoints), postures, pairs, grid, arrows, cells }, per_match))
 }
 
-fn histogram(ends: &[End]) -> Histogram {
+fn histogram(endpoints: &[Endpoint]) -> Histogram {
     let bins = (DECADES.1 - DECADES.0) as usize * BINS_A_DECADE;
     let edge = |k: usize| 10f64.powf(f64::from(DECADES.0) + k as f64 / BINS_A_DECADE as f64);
     let bin = |distance: f64| {
@@ -191,29 +199,33 @@ fn histogram(ends: &[End]) -> Histogram {
         (place.max(0.0) as usize).min(bins - 1)
     };
     let mut counts = [vec![0; bins], vec![0; bins]];
-    for end in ends {
-        for (counts, way) in counts.iter_mut().zip(&end.ways) {
-            counts[bin(way.norm())] += 1;
+    for endpoint in endpoints {
+        for (counts, residual) in counts.iter_mut().zip(&endpoint.residuals_px) {
+            counts[bin(residual.norm())] += 1;
         }
     }
     let [before, after] = counts;
     Histogram { edges_px: (0..=bins).map(|k| rounded(edge(k), 6)).collect(), before, after }
 }
 
-fn postures(ends: &[End], count: usize) -> Vec<PostureResiduals> {
+fn postures(endpoints: &[Endpoint], count: usize) -> Vec<PostureResiduals> {
     let mut distances = vec![[Vec::new(), Vec::new()]; count];
-    for end in ends {
-        for (list, way) in distances[end.posture].iter_mut().zip(&end.ways) {
-            list.push(way.norm());
+    for endpoint in endpoints {
+        for (list, residual) in distances[endpoint.posture].iter_mut().zip(&endpoint.residuals_px) {
+            list.push(residual.norm());
         }
     }
-    let summed = |list: &mut Vec<f64>| Ends {
+    let summed = |list: &mut Vec<f64>| ResidualQuantiles {
         median_px: rounded(quantile(list, 0.5), 4),
         p90_px: rounded(quantile(list, 0.9), 4),
     };
     distances
         .iter_mut()
-        .map(|[before, after]| PostureResiduals { ends: before.len(), before: summed(before), after: summed(after) })
+        .map(|[before, after]| PostureResiduals {
+            endpoints: before.len(),
+            before: summed(before),
+            after: summed(after),
+        })
         .collect()
 }
 
@@ -248,7 +260,7 @@ fn cells(places: &[Place], width: u32, height: u32) -> ([u32; 2], Vec<ImageCell>
     (grid, members.iter().enumerate().filter_map(summed).collect())
 }
 
-/// The value below which a share of a list lies; 0 for an empty one.
+/// The value below which a fraction of a list lies; 0 for an empty one.
 fn quantile(values: &mut [f64], fraction: f64) -> f64 {
     let Some(last) = values.len().checked_sub(1) else { return 0.0 };
     let (_, value, _) = values.select_nth_unstable_by((fraction * last as f64).round() as usize, f64::total_cmp);
@@ -259,18 +271,18 @@ fn quantile(values: &mut [f64], fraction: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn end(posture: usize, pixel: (f64, f64), before: f64, after: f64) -> End {
-        End {
+    fn endpoint(posture: usize, pixel: (f64, f64), before: f64, after: f64) -> Endpoint {
+        Endpoint {
             posture,
             pixel: Pixel::new(pixel.0, pixel.1),
-            ways: [Vector2::new(before, 0.0), Vector2::new(0.0, -after)],
+            residuals_px: [Vector2::new(before, 0.0), Vector2::new(0.0, -after)],
         }
     }
 
     #[test]
-    fn every_end_is_counted_once() {
-        let ends = [end(0, (0.0, 0.0), 0.0, 1e9), end(1, (0.0, 0.0), 1.05, 0.1005)];
-        let found = histogram(&ends);
+    fn every_endpoint_is_counted_once() {
+        let endpoints = [endpoint(0, (0.0, 0.0), 0.0, 1e9), endpoint(1, (0.0, 0.0), 1.05, 0.1005)];
+        let found = histogram(&endpoints);
         assert_eq!(found.edges_px.len(), found.before.len() + 1);
         assert_eq!((found.before.iter().sum::<u64>(), found.after.iter().sum::<u64>()), (2, 2));
         assert_eq!((found.before[0], found.before[30], found.after[59], found.after[20]), (1, 1, 1, 1));
@@ -290,8 +302,8 @@ mod tests {
 
     #[test]
     fn postures_without_matches_are_there_with_none() {
-        let found = postures(&[end(1, (0.0, 0.0), 2.0, 1.0)], 3);
-        assert_eq!((found[0].ends, found[1].ends, found[2].ends), (0, 1, 0));
+        let found = postures(&[endpoint(1, (0.0, 0.0), 2.0, 1.0)], 3);
+        assert_eq!((found[0].endpoints, found[1].endpoints, found[2].endpoints), (0, 1, 0));
         assert_eq!((found[1].before.median_px, found[1].after.p90_px), (2.0, 1.0));
     }
 }

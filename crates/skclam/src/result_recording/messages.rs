@@ -162,7 +162,7 @@ pub(super) fn point_cloud(time: Time, frame: &str, cloud: &Cloud) -> PointCloud 
     }
 }
 
-/// Matches as points, each with a line to where its epipolar line passes; above them what they say in metrics.
+/// Matches as points, each with a line to where its epipolar line passes; above them what they say in numbers.
 pub(super) fn annotations(time: Time, residuals: &PostureResiduals, color: Color) -> ImageAnnotations {
     let point = |pixel: &Pixel| Point2 { x: pixel.x, y: pixel.y };
     let ends = |line: &ResidualLine| [point(&line.measured), point(&line.on_epipolar_line)];

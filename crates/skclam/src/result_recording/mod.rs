@@ -1,5 +1,5 @@
-//! A result as a recording: one MCAP file with the images, the frames, both trajectories, the maps and the residuals, in the Foxglove
-//! schemas (protobuf) that Foxglove and Rerun open.
+//! A result as a recording: one MCAP file with the images, the frames, both trajectories, the maps and the residuals,
+//! in the Foxglove schemas (protobuf) that Foxglove and Rerun open.
 //!
 //! | topic | schema | when |
 //! | --- | --- | --- |
@@ -14,8 +14,8 @@
 //! | `/trajectory_lines` | `foxglove.SceneUpdate` | at the start: nominal red, calibrated green |
 //! | `/map`, `/nominal/map` | `foxglove.PointCloud` | at the start |
 //!
-//! A posture without a time stands at its index in seconds. Postures are written one by one: memory holds one image, one map, and the
-//! matches of the residuals.
+//! A posture without a time gets its index in seconds. Postures are written one by one: memory holds one image, one
+//! map, and the matches of the residuals.
 
 mod messages;
 mod residuals;
@@ -126,10 +126,11 @@ pub struct RecordedResult {
     pub left_out: Vec<String>,
 }
 
-/// Writes the result of a run as MCAP. `dataset`: with the nominal rig, as the run had it. `result`: the run's folder, or a rig file.
+/// Writes the result of a run as MCAP. `dataset`: with the nominal rig, as the run had it. `result`: the run's folder,
+/// or a rig file.
 ///
-/// The residuals need the matches, which a result does not keep: they are found again by the configuration in `summary.json`, which takes
-/// as long as these stages took in the run.
+/// The residuals need the matches, which a result does not keep: they are found again by the configuration in
+/// `summary.json`, which takes as long as these stages took in the run.
 ///
 /// # Errors
 /// [`ResultRecordingError`].
@@ -242,7 +243,8 @@ fn time(posture: &Posture) -> Result<Time, ResultRecordingError> {
     Time::from_seconds(seconds).ok_or(ResultRecordingError::Time { index: posture.index, seconds })
 }
 
-/// The frames of a rig at a posture, each below the one before: base, links (where the joints are known), flange, camera, depth camera.
+/// The frames of a rig at a posture, each below the one before: base, links (where the joints are known), flange,
+/// camera, depth camera.
 fn frames(
     rig: &Rig,
     posture: &Posture,

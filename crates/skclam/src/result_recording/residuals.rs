@@ -27,11 +27,11 @@ pub(super) fn matches_again(
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ResidualLine {
     pub measured: Pixel,
-    /// The nearest point of the epipolar line that the neighbor's pixel makes in this image.
+    /// The nearest point of the epipolar line that the match's pixel in the other image makes in this one.
     pub on_epipolar_line: Pixel,
 }
 
-/// The matches of one image with all its neighbors.
+/// The matches of one image with all its neighbours.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PostureResiduals {
     /// Evenly taken from all matches.
@@ -86,7 +86,7 @@ pub(super) fn posture_residuals(
     Some(PostureResiduals { lines, matches: distances.len(), median_px })
 }
 
-/// The pixels of a pair's matches: in the image of `posture`, and in its neighbor's.
+/// The pixels of a pair's matches: in the image of `posture`, and in the other's.
 fn pixels(pair: &PairMatches, posture: usize) -> impl Iterator<Item = (Pixel, Pixel)> + '_ {
     let first = pair.a == posture;
     pair.matches.iter().map(move |m| if first { (m.in_a, m.in_b) } else { (m.in_b, m.in_a) })

@@ -25,8 +25,8 @@ fn rig() -> &'static Rig {
     })
 }
 
-/// Two postures as the robot would have recorded them: as it was written, and without chunks, so that no checksum guards
-/// the messages.
+/// Two postures as the robot would have recorded them: as it was written, and without chunks, so that no checksum
+/// guards the messages.
 pub fn recordings() -> Vec<Seed> {
     let folder = tempfile::tempdir().unwrap();
     let (width, height) = IMAGE_SIZE;

@@ -1,6 +1,6 @@
-//! Rigs, robot descriptions, tables, settings, maps, images and whole imports with damaged bytes, numbers and structure:
-//! an answer or an error, no panic, in bounded time and memory. How many are tried, and where they begin: see the crate
-//! `skclam-damage`, and `just fuzz`.
+//! Rigs, robot descriptions, tables, settings, maps, images and whole imports with damaged bytes, numbers and
+//! structure: an answer or an error, no panic, in bounded time and memory. How many are tried, and where they begin:
+//! see the crate `skclam-damage`, and `just fuzz`.
 
 mod findings;
 mod importing;
@@ -12,8 +12,8 @@ use reading as read;
 use skclam_damage::{Seed, Trial, damaged_bytes, damaged_text};
 use std::path::Path;
 
-/// A reader of texts may allocate so many bytes for each byte of its input (a short element of XML is a node of a tree),
-/// and so many once, in which the seeds of the tests beside it have room.
+/// A reader of texts may allocate so many bytes for each byte of its input (a short element of XML is a node of a
+/// tree), and so many once, into which the seeds of the tests beside it fit.
 const ALLOCATED_A_BYTE: usize = 300;
 const ALLOCATED_ONCE: usize = 16 << 20;
 /// The largest resident set of the test process, MiB.

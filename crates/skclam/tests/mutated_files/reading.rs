@@ -49,7 +49,7 @@ pub fn rig(path: &Path) -> bool {
     true
 }
 
-/// A description that is read gives a chain that can be written back into it, and bodies that stand somewhere.
+/// A description that is read gives a chain that can be written back into it, and bodies that are somewhere.
 pub fn urdf(path: &Path) -> bool {
     let Ok(text) = std::fs::read_to_string(path) else { return false };
     if let Ok(bodies) = CollisionModel::from_urdf(&text, None) {
@@ -57,7 +57,7 @@ pub fn urdf(path: &Path) -> bool {
     }
     let Ok((bases, tips)) = urdf_ends(&text) else { return false };
     let base = bases.first().map_or("base", String::as_str);
-    // The last one, as a gripper's finger stands before it.
+    // The last one, as a gripper's finger comes before it.
     let tip = tips.last().map_or("tip", String::as_str);
     let Ok(chain) = chain_from_urdf(&text, base, tip) else { return false };
     let Ok(written) = write_urdf(&text, base, tip, &chain, &calibrated(&chain)) else { return false };
@@ -148,7 +148,7 @@ pub fn image(path: &Path) -> bool {
     let name = path.file_name().unwrap().to_str().unwrap();
     let depth = name.starts_with("depth");
     let folder = path.parent().unwrap();
-    // The image that is not damaged stands in for itself.
+    // The image that is not damaged replaces itself.
     let (color, depth_name) = if depth { ("whole.png", name) } else { (name, "") };
     if depth && !folder.join("whole.png").exists() {
         image::RgbImage::new(IMAGE_SIZE.0, IMAGE_SIZE.1).save(folder.join("whole.png")).unwrap();

@@ -15,20 +15,20 @@ fn flange_poses(seed: u64) -> (Rig, Correspondences, Vec<[f64; 6]>) {
     let mut rng = seeded(seed);
     let mount = Free::parse("mount", &hp3j()).unwrap();
     let truth = perturbed(&hp3j(), &mount, manufacture(), &mut rng);
-    let mut told = diverse_postures(&hp3j(), 30, &mut rng);
+    let mut reported = diverse_postures(&hp3j(), 30, &mut rng);
     let mut errors = Vec::new();
-    let mut stand = told.clone();
-    for (told, stand) in told.iter_mut().zip(&mut stand) {
-        let pose = truth.base_from_flange(told).unwrap();
+    let mut actual = reported.clone();
+    for (reported, actual) in reported.iter_mut().zip(&mut actual) {
+        let pose = truth.base_from_flange(reported).unwrap();
         let size = |k: usize| if k < 3 { TRANSLATION_M } else { ROTATION_RAD };
         let error: [f64; 6] = std::array::from_fn(|k| size(k) * normal(&mut rng));
         let [x, y, z, rx, ry, rz] = error;
         let off = Isometry3::new(Vector3::new(x, y, z), Vector3::new(rx, ry, rz));
-        (told.state, stand.state) = (PostureState::FlangePose(pose), PostureState::FlangePose(pose * off));
+        (reported.state, actual.state) = (PostureState::FlangePose(pose), PostureState::FlangePose(pose * off));
         errors.push(error);
     }
-    let mut data = record(&truth, &stand, &box_points(3000, &mut rng), rgbd(), &mut rng);
-    data.postures = told;
+    let mut data = record(&truth, &actual, &box_points(3000, &mut rng), rgbd(), &mut rng);
+    data.postures = reported;
     (truth, data, errors)
 }
 

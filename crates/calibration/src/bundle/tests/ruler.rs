@@ -74,7 +74,8 @@ fn a_standard_of_length_that_the_arm_contradicts_is_weighed_and_reported() {
     assert!((scale - 1.005).abs() < 1.5e-3 && (scale - 1.0 - ruler.mean).abs() < ruler.sigma, "{scale} {ruler:?}");
 }
 
-/// Squares that are ten and more of their sigmas off, beside an arm whose lengths are true to 0.1 mm: every length would have to be off by the same fraction.
+/// Squares that are ten and more of their sigmas off, beside an arm whose lengths are true to 0.1 mm: every length
+/// would have to be off by the same fraction.
 #[test]
 fn a_standard_of_length_that_is_grossly_wrong_is_reported() {
     for factor in [1.01, 1.05] {

@@ -5,7 +5,7 @@
 
 use super::*;
 
-/// Pictures of a board at a size of squares: turned, tilted, blurred, noisy; the last is hidden in part.
+/// Images of a board at a size of squares: turned, tilted, blurred, noisy; the last is hidden in part.
 fn shots(layout: &BoardLayout, square_px: f64) -> [Shot; 3] {
     let fills = square_px * f64::from(layout.columns + 1) / f64::from(SIZE.0);
     let half = square_px as u32;

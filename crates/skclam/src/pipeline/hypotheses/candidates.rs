@@ -7,22 +7,22 @@ use skclam_geometry::Isometry3;
 use skclam_kinematics::{Joint, JointKind, LinkForm, SerialChain};
 use skclam_rig::{Posture, PostureState, Rig};
 
-/// Rows by which postures are shifted at the most.
+/// Rows by which postures are shifted at most.
 const MAX_SHIFT: i64 = 5;
 
 /// A data set as it would be without the mistake.
 #[derive(Debug, Clone)]
 pub(super) struct Candidate {
-    /// `None`: as it stands.
+    /// `None`: unchanged.
     pub cause: Option<GrossCause>,
-    /// The rig; the mount is not looked at.
+    /// The rig; the mount is ignored.
     pub rig: Rig,
     /// One a row of images; `None` where the shift leaves an image without a posture.
     pub postures: Vec<Option<Posture>>,
 }
 
 impl Candidate {
-    /// The data set as it stands.
+    /// The unchanged data set.
     pub fn nominal(dataset: &Dataset) -> Self {
         let postures = dataset.records.iter().map(|record| Some(record.posture.clone())).collect();
         Candidate { cause: None, rig: dataset.rig.clone(), postures }

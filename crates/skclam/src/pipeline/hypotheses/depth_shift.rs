@@ -15,10 +15,10 @@ use skclam_geometry::{Isometry3, Pixel, Point3};
 /// Depth images that are shifted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DepthShift {
-    /// The depth image of a posture stands so many rows further down (above, where negative).
+    /// The depth image of a posture is so many rows further down (above, where negative).
     pub by: i64,
-    /// How far depths scatter about what the images say, as the rows stand: median of the relative error about its own
-    /// median, percent.
+    /// How far depths scatter about what the images say, with the rows unchanged: median of the relative error about
+    /// its own median, percent.
     pub before_percent: f64,
     /// The same with the depth images at their rows, percent.
     pub after_percent: f64,
@@ -26,9 +26,9 @@ pub struct DepthShift {
     pub points: usize,
 }
 
-/// Rows by which depth images are shifted at the most.
+/// Rows by which depth images are shifted at most.
 const MAX_SHIFT: i64 = 3;
-/// Tracks that take part at the most.
+/// Tracks that take part at most.
 const TRACKS: usize = 4000;
 /// Points of fewer rays, or rays that meet at less than this angle (1 deg), say little about a depth.
 const MIN_RAYS: usize = 3;
@@ -76,12 +76,12 @@ pub fn find_depth_shift(
         let Some(middle) = sorted.get(sorted.len() / 2) else { return f64::INFINITY };
         1e2 * median(sorted.iter().map(|ratio| ratio - middle).collect())
     };
-    let as_it_stands = &ratios[most as usize];
-    let before_percent = scatter(as_it_stands);
+    let unchanged = &ratios[most as usize];
+    let before_percent = scatter(unchanged);
     let shifted = shifts
         .iter()
         .zip(&ratios)
-        .filter(|(by, ratios)| **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= as_it_stands.len());
+        .filter(|(by, ratios)| **by != 0 && ratios.len() >= MIN_POINTS && 3 * ratios.len() >= unchanged.len());
     let best = shifted
         .map(|(&by, ratios)| DepthShift { by, before_percent, after_percent: scatter(ratios), points: ratios.len() })
         .min_by(|x, y| x.after_percent.total_cmp(&y.after_percent));

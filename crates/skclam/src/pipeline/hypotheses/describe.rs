@@ -66,7 +66,7 @@ pub fn describe(finding: &GrossFinding) -> String {
         ),
         GrossCause::QuaternionOrder => cured(
             "the quaternions of the flange poses have their scalar part first".to_owned(),
-            "In postures.csv, name the four columns qw, qx, qy, qz in the order in which the values stand.".to_owned(),
+            "In postures.csv, name the four columns qw, qx, qy, qz in the order of the values.".to_owned(),
         ),
         GrossCause::PoseInverted => cured(
             "the flange poses are inverted: they take points from the base to the flange".to_owned(),
@@ -83,7 +83,7 @@ pub fn describe(finding: &GrossFinding) -> String {
         GrossCause::SceneOrCamera => format!(
             "two images at a time, without the arm, do not fit [color] in rig.toml: {before} remain in the median \
             pair with these intrinsics, {after} without any. \
-             Are focal length, centre and distortion those of this camera at this resolution? Did the scene stand \
+             Are focal length, centre and distortion those of this camera at this resolution? Did the scene stay \
              still?",
         ),
     }
@@ -97,7 +97,7 @@ pub fn describe_depth_shift(shift: &DepthShift) -> String {
     };
     let plural = if rows == 1 { "row" } else { "rows" };
     format!(
-        "the depth images are shifted: the one that belongs to a posture stands {rows} {plural} {where_to} it; \
+        "the depth images are shifted: the one that belongs to a posture is {rows} {plural} {where_to} it; \
         depths at {} points then scatter by {:.1} % about \
          what the images say, not by {:.1} %. In postures.csv, move the names in the column depth {rows} {plural} \
          {move_to}.",

@@ -14,13 +14,13 @@ use skclam_geometry::{PinholeCamera, Pixel};
 
 /// The strongest keypoints of an image that are matched.
 const KEYPOINTS: usize = 800;
-/// The strongest keypoints of an image that tell how much two images share.
+/// The strongest keypoints of an image that show how much two images have in common.
 const SKETCH: usize = 150;
-/// Pairs whose shared descriptors are counted at the most, evenly over all.
+/// Pairs whose shared descriptors are counted at most, evenly over all.
 const MAX_COMPARED: usize = 2500;
-/// Pairs that are matched at the most.
+/// Pairs that are matched at most.
 const MAX_PAIRS: usize = 240;
-/// Partners of an image by shared descriptors.
+/// Neighbours of an image by shared descriptors.
 const NEIGHBORS: usize = 4;
 /// A pair with fewer verified matches may be an accident.
 const MIN_MATCHES: usize = 20;

@@ -8,9 +8,9 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Translation3, Unit, UnitQuaternion, Vector2, Vector3};
 use skclam_geometry::{FundamentalMatrix, Isometry3, PinholeCamera, Pixel};
 
-/// Matches that take part at the most.
+/// Matches that take part at most.
 const MATCHES: usize = 120;
-/// Steps of one descent at the most.
+/// Steps of one minimisation at most.
 const STEPS: usize = 15;
 /// Two fits are equally good when their robust costs differ by less than this factor.
 const AS_GOOD: f64 = 1.1;
@@ -24,7 +24,7 @@ const MIN_IN_FRONT: f64 = 0.7;
 pub(super) struct RelativeRotation {
     /// `camera_a_from_camera_b`, the best first.
     pub candidates: Vec<UnitQuaternion<f64>>,
-    /// Median Sampson distance with the intrinsics as they stand, px.
+    /// Median Sampson distance with the unchanged intrinsics, px.
     pub calibrated_px: f64,
     /// Median Sampson distance of the fundamental matrix, which needs no intrinsics, px.
     pub uncalibrated_px: f64,
@@ -44,7 +44,7 @@ pub(super) fn relative_rotation(
         .starts(fundamental)
         .into_iter()
         .map(|start| {
-            let pose = view.descend(start);
+            let pose = view.minimize(start);
             (view.cost(&pose), pose)
         })
         .filter(|(cost, _)| cost.is_finite())
@@ -146,7 +146,7 @@ impl TwoViews<'_> {
     }
 
     /// Levenberg-Marquardt with Cauchy weights over rotation and direction.
-    fn descend(&self, start: Isometry3) -> Isometry3 {
+    fn minimize(&self, start: Isometry3) -> Isometry3 {
         const STEP: f64 = 1e-6;
         let (mut pose, mut cost, mut damping) = (start, self.cost(&start), 1e-3);
         for _ in 0..STEPS {

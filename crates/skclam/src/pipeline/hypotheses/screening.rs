@@ -1,4 +1,4 @@
-//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be held against the
+//! What a table of postures is worth, by rotations alone: cheap, so that every hypothesis can be compared with the
 //! images.
 //!
 //! The camera turned by `A`, the flange by `B`, and `A = X^-1 B X` with the rotation `X` of the mount. Rotation vectors
@@ -17,10 +17,10 @@ const USABLE_RAD: [f64; 2] = [0.07, 2.97];
 /// Sine of the least angle between the axes of two.
 const MIN_SINE: f64 = 0.3;
 
-/// Median angle by which the flange's turns fail to be the camera's, rad, with the mount's rotation that fits them
+/// Median angle between the flange's rotations and the camera's, rad, with the mount's rotation that fits them
 /// best.
 pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option<Isometry3>]) -> f64 {
-    let turns: Vec<(&[UnitQuaternion<f64>], UnitQuaternion<f64>)> = pairs
+    let rotations: Vec<(&[UnitQuaternion<f64>], UnitQuaternion<f64>)> = pairs
         .iter()
         .filter_map(|pair| {
             let (a, b) = (base_from_flange[pair.a]?, base_from_flange[pair.b]?);
@@ -29,7 +29,7 @@ pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option
         .filter(|(candidates, _)| !candidates.is_empty())
         .collect();
     let misfits = |mount: &UnitQuaternion<f64>| -> Vec<f64> {
-        turns
+        rotations
             .iter()
             .map(|(camera, flange)| {
                 let expected = mount.inverse() * flange * mount;
@@ -37,7 +37,7 @@ pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option
             })
             .collect()
     };
-    let usable: Vec<(Vector3<f64>, Vector3<f64>)> = turns
+    let usable: Vec<(Vector3<f64>, Vector3<f64>)> = rotations
         .iter()
         .map(|(camera, flange)| (camera[0].scaled_axis(), flange.scaled_axis()))
         .filter(|(camera, flange)| {
@@ -71,10 +71,10 @@ pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option
             current = Some((misfit, refined));
         }
     }
-    // Where all turn about one axis, the sizes of the turns are all that can be compared.
+    // Where all turn about one axis, the sizes of the rotations are all that can be compared.
     current.map_or_else(
         || {
-            let sizes = turns.iter().map(|(camera, flange)| camera[0].angle() - flange.angle());
+            let sizes = rotations.iter().map(|(camera, flange)| camera[0].angle() - flange.angle());
             median(sizes.collect())
         },
         |(misfit, _)| misfit,
@@ -83,8 +83,8 @@ pub(super) fn rotation_misfit_rad(pairs: &[FreePair], base_from_flange: &[Option
 
 /// The rotation `X` with `b = X a` for pairs of vectors `(a, b)`, least squares (Wahba's problem, by the singular value
 /// decomposition).
-fn aligned(turns: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> UnitQuaternion<f64> {
-    let profile: Matrix3<f64> = turns.map(|(camera, flange)| flange * camera.transpose()).sum();
+fn aligned(rotations: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> UnitQuaternion<f64> {
+    let profile: Matrix3<f64> = rotations.map(|(camera, flange)| flange * camera.transpose()).sum();
     let svd = profile.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return UnitQuaternion::identity() };
     let mut signs = Vector3::repeat(1.0);

@@ -152,13 +152,14 @@ fn mistakes_in_flange_poses_are_named() {
 }
 
 #[test]
-fn another_arm_and_another_camera_are_told_apart() {
+fn another_arm_and_another_camera_are_distinguished() {
     let other_arm = named(|dataset| {
         dataset.rig.robot = builtin_rig("abb-irb120").expect("a built-in rig").expect("a good rig").robot;
         joints(dataset, |q| q.iter_mut().for_each(|q| *q = (7.0 * *q).sin()));
     });
     assert_eq!(other_arm, GrossCause::OtherArm);
-    // Pairs whose geometry is weak fit under wrong intrinsics too; what must not happen is that a mistake is named that was not made.
+    // Pairs whose geometry is weak fit under wrong intrinsics too; what must not happen is that a mistake is named that
+    // was not made.
     let other_camera = named(|dataset| dataset.rig.color.fx *= 2.0);
     assert!(matches!(other_camera, GrossCause::SceneOrCamera | GrossCause::OtherArm), "{other_camera:?}");
 }

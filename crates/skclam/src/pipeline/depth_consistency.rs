@@ -1,4 +1,5 @@
-//! How well the depth images agree with each other at the poses of a rig: a judgement that the matches did not take part in.
+//! Depth consistency: how far apart the surfaces of overlapping depth images are at the poses of a rig. The matches
+//! take no part in it.
 
 use super::RunError;
 use crate::dataset::Dataset;
@@ -8,9 +9,9 @@ use skclam_geometry::{DepthImage, Isometry3};
 use skclam_mapping::{DepthConsistencyOptions, View, depth_consistency};
 use skclam_rig::Rig;
 
-/// Distances between the surfaces of overlapping depth images.
+/// Point-to-plane distances between overlapping depth images.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct SurfaceAgreement {
+pub struct DepthConsistencySummary {
     /// Pairs of depth images that overlap.
     pub pairs: usize,
     /// Median distance, millimetres.
@@ -21,7 +22,7 @@ pub struct SurfaceAgreement {
 
 /// A point of a depth image, and how far the other images' surfaces are from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AgreementSample {
+pub struct PointToPlaneSample {
     /// Position of the posture.
     pub posture: usize,
     /// Place of the pixel in its depth image, row by row.
@@ -34,25 +35,25 @@ pub struct AgreementSample {
 
 /// The answer for one list of poses.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Agreement {
+pub struct MeasuredConsistency {
     /// Over all images; `None` without depth, or where no two images overlap.
-    pub surfaces: Option<SurfaceAgreement>,
+    pub surfaces: Option<DepthConsistencySummary>,
     /// Points one by one, the same pixels for every list of poses.
-    pub samples: Vec<AgreementSample>,
+    pub samples: Vec<PointToPlaneSample>,
 }
 
-/// Points that are told one by one, at about the most.
+/// Points that are listed one by one, roughly at most.
 const SAMPLES: usize = 60_000;
-/// Depth images that are compared at the most, evenly over the recording; the cost grows with the square.
+/// Depth images that are compared at most, evenly over the recording; the cost grows with the square.
 const COMPARED: usize = 120;
 
 /// One answer for each list of poses.
-pub fn surface_agreement<const N: usize>(
+pub fn measure_depth_consistency<const N: usize>(
     dataset: &Dataset,
     poses: [&[Isometry3]; N],
     rig: &Rig,
-) -> Result<[Agreement; N], RunError> {
-    let mut answers: [Agreement; N] = std::array::from_fn(|_| Agreement::default());
+) -> Result<[MeasuredConsistency; N], RunError> {
+    let mut answers: [MeasuredConsistency; N] = std::array::from_fn(|_| MeasuredConsistency::default());
     let Some(depth_camera) = rig.depth else { return Ok(answers) };
     let chosen: Vec<usize> = (0..dataset.len()).step_by(dataset.len().div_ceil(COMPARED).max(1)).collect();
     let depths: Vec<Option<DepthImage>> =
@@ -81,12 +82,15 @@ pub fn surface_agreement<const N: usize>(
                 })
             })
             .collect();
-        let gaps = depth_consistency(&views, &options)?;
-        if let (Some(median_m), Some(p90_m)) = (gaps.median_m, gaps.p90_m) {
-            answer.surfaces =
-                Some(SurfaceAgreement { pairs: gaps.pairs.len(), median_mm: median_m * 1e3, p90_mm: p90_m * 1e3 });
+        let found = depth_consistency(&views, &options)?;
+        if let (Some(median_m), Some(p90_m)) = (found.median_m, found.p90_m) {
+            answer.surfaces = Some(DepthConsistencySummary {
+                pairs: found.pairs.len(),
+                median_mm: median_m * 1e3,
+                p90_mm: p90_m * 1e3,
+            });
         }
-        let samples = gaps.samples.iter().map(|sample| AgreementSample {
+        let samples = found.samples.iter().map(|sample| PointToPlaneSample {
             posture: postures[sample.view],
             pixel: sample.pixel,
             point_in_base: sample.point_in_base,
