@@ -16,7 +16,9 @@ mod bytes;
 mod camera;
 mod database;
 mod error;
+mod joint_series;
 mod joints;
+mod jumps;
 mod mcap;
 mod messages;
 mod pairing;
@@ -26,10 +28,12 @@ mod sharpness;
 mod stands;
 mod survey;
 mod tum;
+mod unpacked;
 mod wire;
 
 pub use camera::pinhole_from_info;
 pub use error::RecordingError;
+pub use joint_series::{Clock, FoundJumps, JointCollector, JointPlace, JointSeries, Merged, TopicJoints};
 pub use joints::{JointNames, JointTrack, interpolated};
 pub use messages::{
     CameraInfo, CompressedImage, Float32, Header, Image, ImageHead, JointState, MessageKind, Stamp, TransformMessage,

@@ -6,6 +6,7 @@ use crate::bytes::{Bytes, Problem, decompressed_message};
 use crate::database::Database;
 use crate::mcap::Mcap;
 use crate::tum::TumFolder;
+use crate::unpacked::Unpacked;
 use crate::{Header, MAX_MESSAGE_BYTES, MessageKind, RecordingError, Stamp, WireFormat};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -92,8 +93,11 @@ pub struct Recording {
     path: PathBuf,
     format: RecordingFormat,
     files: Vec<RecordingFile>,
+    /// Vanish with the recording, after its files are closed.
+    _unpacked: Vec<Unpacked>,
     topics: Vec<Topic>,
     buffer: Vec<u8>,
+    cuts: Vec<String>,
 }
 
 #[derive(Debug)]
@@ -115,6 +119,8 @@ pub(crate) struct Visitor<'a> {
     pub buffer: &'a mut Vec<u8>,
     /// What may still be unpacked in this pass.
     pub budget: &'a mut Budget,
+    /// Files that end early, for a person.
+    pub cuts: &'a mut Vec<String>,
 }
 
 /// Topics of a file by the number that the file gives them.
@@ -128,6 +134,14 @@ const MAX_FILES: usize = 1 << 16;
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 impl Visitor<'_> {
+    /// A file ends before it should: what stands before `offset` was read.
+    pub fn cut(&mut self, path: &Path, offset: u64, length: u64, what: &str) {
+        self.cuts.push(format!(
+            "{}: {what}: the recording was not closed, or copied in part; {offset} of {length} bytes were read whole, and what stands in them is used",
+            path.display()
+        ));
+    }
+
     /// The position of a topic, which is new or known.
     pub fn topic(&mut self, name: String, type_name: String, wire: Option<WireFormat>) -> Result<usize, Problem> {
         if let Some(known) = self.topics.iter().find(|topic| topic.name == name && topic.type_name == type_name) {
@@ -195,7 +209,8 @@ impl Visitor<'_> {
 }
 
 impl Recording {
-    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder.
+    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder. Files that are
+    /// compressed as a whole with zstd, as rosbag2's mode FILE does, are unpacked into the folder for temporary files.
     ///
     /// # Errors
     /// [`RecordingError::Format`] for anything else, with what was found.
@@ -203,8 +218,16 @@ impl Recording {
         let path = path.as_ref();
         let metadata =
             std::fs::metadata(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
-        let (format, files) = if metadata.is_dir() { open_folder(path)? } else { open_file(path)? };
-        Ok(Recording { path: path.to_owned(), format, files, topics: Vec::new(), buffer: Vec::new() })
+        let (format, files, unpacked) = if metadata.is_dir() { open_folder(path)? } else { open_file(path)? };
+        Ok(Recording {
+            path: path.to_owned(),
+            format,
+            files,
+            _unpacked: unpacked,
+            topics: Vec::new(),
+            buffer: Vec::new(),
+            cuts: Vec::new(),
+        })
     }
 
     /// What was opened.
@@ -222,6 +245,12 @@ impl Recording {
         &self.topics
     }
 
+    /// Files that end early, as those of a recorder that crashed do: found by the last [`scan`](Self::scan), which read
+    /// them up to that point.
+    pub fn cuts(&self) -> &[String] {
+        &self.cuts
+    }
+
     /// Goes through the recording once, in the order of the file. Each message is offered to `want`, and visited as far
     /// as it is wanted; an error of `visit` ends the scan.
     ///
@@ -234,6 +263,7 @@ impl Recording {
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
         let mut budget = Budget::default();
+        self.cuts.clear();
         for (index, file) in self.files.iter_mut().enumerate() {
             let mut visitor = Visitor {
                 topics: &mut self.topics,
@@ -243,6 +273,7 @@ impl Recording {
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
                 budget: &mut budget,
+                cuts: &mut self.cuts,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.scan(&mut visitor)?,
@@ -255,13 +286,14 @@ impl Recording {
     }
 
     /// Visits whole messages at places that a scan has given, in the order of the file. Only the records that hold
-    /// them are read.
+    /// them are read. What a file that was cut off lacks is not visited.
     pub fn read(
         &mut self,
         places: &[Place],
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
         let mut budget = Budget::default();
+        let mut no_cuts = Vec::new();
         let mut places = places.to_vec();
         places.sort_unstable();
         places.dedup();
@@ -280,6 +312,7 @@ impl Recording {
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
                 budget: &mut budget,
+                cuts: &mut no_cuts,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.read_record(offset, &mut visitor)?,
@@ -292,40 +325,60 @@ impl Recording {
     }
 }
 
-type Opened = (RecordingFormat, Vec<RecordingFile>);
+type Opened = (RecordingFormat, Vec<RecordingFile>, Vec<Unpacked>);
 
 fn open_file(path: &Path) -> Result<Opened, RecordingError> {
+    let beginning = beginning(path)?;
+    if beginning.starts_with(&ZSTD_MAGIC) {
+        let unpacked = Unpacked::new(path)?;
+        let (format, file) = open_plain(path, &unpacked.path())?;
+        return Ok((format, vec![file], vec![unpacked]));
+    }
+    let (format, file) = open_plain(path, path)?;
+    Ok((format, vec![file], vec![]))
+}
+
+fn beginning(path: &Path) -> Result<Vec<u8>, RecordingError> {
     let mut beginning = Vec::new();
     skclam_files::open(path, skclam_files::Kind::Recording)
         .and_then(|file| file.take(16).read_to_end(&mut beginning))
         .map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+    Ok(beginning)
+}
+
+/// Opens what lies at `path`; `named` is what the user knows.
+fn open_plain(named: &Path, path: &Path) -> Result<(RecordingFormat, RecordingFile), RecordingError> {
+    let beginning = beginning(path)?;
     if beginning.starts_with(b"#ROSBAG V") {
-        Ok((RecordingFormat::Bag, vec![RecordingFile::Bag(Bag::open(path)?)]))
-    } else if beginning.starts_with(&crate::mcap::MAGIC) {
-        Ok((RecordingFormat::Mcap, vec![RecordingFile::Mcap(Mcap::open(path)?)]))
-    } else if beginning.starts_with(b"SQLite format 3\0") {
-        Ok((RecordingFormat::Database, vec![RecordingFile::Database(Database::open(path)?)]))
-    } else {
-        let hint = match beginning.starts_with(&ZSTD_MAGIC) {
-            true => "it is compressed as a whole; unpack it first with `zstd -d`",
-            false => "read are ROS 1 .bag (version 2.0), .mcap, .db3, and folders of rosbag2 and of TUM RGB-D",
-        };
-        Err(RecordingError::Format {
-            path: path.to_owned(),
-            problem: format!("this is no recording that is read: {hint}"),
-        })
+        return Ok((RecordingFormat::Bag, RecordingFile::Bag(Bag::open(path)?)));
     }
+    if beginning.starts_with(&crate::mcap::MAGIC) {
+        return Ok((RecordingFormat::Mcap, RecordingFile::Mcap(Mcap::open(path)?)));
+    }
+    if beginning.starts_with(b"SQLite format 3\0") {
+        return Ok((RecordingFormat::Database, RecordingFile::Database(Database::open(path)?)));
+    }
+    let hint = match beginning.as_slice() {
+        [] => "the file is empty: nothing was recorded, or the recorder did not come to write",
+        [0x1f, 0x8b, ..] => "it is compressed as a whole; unpack it first with `gunzip`",
+        [b'P', b'K', 3, 4, ..] => "it is a ZIP archive; unpack it first with `unzip`",
+        _ => {
+            "read are ROS 1 .bag (version 2.0), .mcap, .db3, the same compressed with zstd, and folders of rosbag2 and of TUM RGB-D"
+        }
+    };
+    let problem = format!("this is no recording that is read: {hint}");
+    Err(RecordingError::Format { path: named.to_owned(), problem })
 }
 
 fn open_folder(path: &Path) -> Result<Opened, RecordingError> {
     if path.join("rgb.txt").is_file() {
-        return Ok((RecordingFormat::Tum, vec![RecordingFile::Tum(TumFolder::open(path)?)]));
+        return Ok((RecordingFormat::Tum, vec![RecordingFile::Tum(TumFolder::open(path)?)], vec![]));
     }
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
     let mut parts = Vec::new();
     for entry in std::fs::read_dir(path).map_err(io)? {
         let file = entry.map_err(io)?.path();
-        if file.extension().is_some_and(|ending| ending == "mcap" || ending == "db3") {
+        if is_part(&file) {
             parts.push(file);
         }
         if parts.len() > MAX_FILES {
@@ -336,10 +389,17 @@ fn open_folder(path: &Path) -> Result<Opened, RecordingError> {
     parts.sort_by_key(|part| (part_number(part), part.clone()));
     let mut opened: Option<Opened> = None;
     for part in parts {
-        let (format, mut files) = open_file(&part)?;
+        // Where a file lies beside its compressed copy, one of them is enough.
+        if plain_name(&part).is_some_and(|plain| plain.is_file()) {
+            continue;
+        }
+        let (format, mut files, mut unpacked) = open_file(&part)?;
         match &mut opened {
-            None => opened = Some((format, files)),
-            Some((first, all)) if *first == format => all.append(&mut files),
+            None => opened = Some((format, files, unpacked)),
+            Some((first, all, all_unpacked)) if *first == format => {
+                all.append(&mut files);
+                all_unpacked.append(&mut unpacked);
+            }
             Some(_) => {
                 let problem = "holds .mcap and .db3 files; name the one that is meant".to_owned();
                 return Err(RecordingError::Format { path: path.to_owned(), problem });
@@ -347,13 +407,26 @@ fn open_folder(path: &Path) -> Result<Opened, RecordingError> {
         }
     }
     opened.ok_or_else(|| {
-        let problem = "the folder holds no .mcap, no .db3 and no rgb.txt; name a recording or its folder".to_owned();
+        let problem = "the folder holds no .mcap, no .db3 (nor one of them compressed, .zstd) and no rgb.txt; name a recording or its folder".to_owned();
         RecordingError::Format { path: path.to_owned(), problem }
     })
 }
 
+/// Whether a folder's file is part of a recording of rosbag2, compressed or not.
+fn is_part(path: &Path) -> bool {
+    let plain = plain_name(path).unwrap_or_else(|| path.to_owned());
+    plain.extension().is_some_and(|ending| ending == "mcap" || ending == "db3")
+}
+
+/// The name of a compressed file before it was compressed.
+fn plain_name(path: &Path) -> Option<PathBuf> {
+    let ending = path.extension()?;
+    (ending == "zstd" || ending == "zst").then(|| path.with_extension(""))
+}
+
 /// The number after the last underscore, which rosbag2 gives to the files of a split recording.
 fn part_number(path: &Path) -> u64 {
-    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let plain = plain_name(path).unwrap_or_else(|| path.to_owned());
+    let stem = plain.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     stem.rsplit('_').next().and_then(|number| number.parse().ok()).unwrap_or(0)
 }

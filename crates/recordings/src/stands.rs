@@ -16,24 +16,26 @@ const SPEED_WINDOW: Stamp = 100_000_000;
 
 /// The intervals in which every joint was slower than `max_joint_speed` for at least `min_stand_s`, in order.
 ///
-/// A speed is the change over 0.1 s, or between the neighbouring samples where these are further apart. Where no sample
-/// came for longer than `max_gap_s` nobody knows what the arm did, and a stand ends; two stands at the same joint values
-/// with such a gap between are one.
+/// A speed is the change over 0.1 s, from the mean of the first half to that of the second, or between the neighbouring
+/// samples where these are further apart. Where no sample came for longer than `max_gap_s` nobody knows what the arm did,
+/// and a stand ends; two stands at the same joint values with such a gap between are one. So are two between which the
+/// joints flickered and went nowhere.
 pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand> {
     let times = track.times();
     let max_gap = nanoseconds(options.max_gap_s);
-    let mut stands: Vec<(Stand, usize, usize)> = Vec::new();
+    // First and last sample of each, and where its joints were at first.
+    let mut stands: Vec<(usize, usize, Vec<f64>)> = Vec::new();
     let mut open: Option<usize> = None;
     let mut close = |first: usize, last: usize| {
-        let stand = Stand { begin: times[first], end: times[last] };
-        if let Some((before, _, before_last)) = stands.last_mut() {
-            // Neighbouring samples: nothing but missing ones parts the two.
-            if first == *before_last + 1 && track.largest_change(*before_last, first) <= SAME_POSTURE {
-                (before.end, *before_last) = (stand.end, last);
+        let begins_at = track.mean_of(first, last.min(first + MEAN_OF) + 1);
+        if let Some((begin, before, anchor)) = stands.last_mut() {
+            let flickers = || is_flicker(track, (*begin, *before, anchor.as_slice()), (first, &begins_at), max_gap);
+            if is_same_stand(track, *before, first) || flickers() {
+                *before = last;
                 return;
             }
         }
-        stands.push((stand, first, last));
+        stands.push((first, last, begins_at));
     };
     for index in 0..times.len() {
         let gap = index > 0 && times[index] - times[index - 1] > max_gap;
@@ -49,9 +51,36 @@ pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand>
     if let Some(first) = open {
         close(first, times.len() - 1);
     }
-    let long_enough = |stand: &Stand| stand.end - stand.begin >= nanoseconds(options.min_stand_s);
-    stands.into_iter().map(|(stand, ..)| stand).filter(long_enough).collect()
+    let stands = stands.into_iter().map(|(first, last, _)| Stand { begin: times[first], end: times[last] });
+    stands.filter(|stand| stand.end - stand.begin >= nanoseconds(options.min_stand_s)).collect()
 }
+
+/// Neighbouring samples at the same values: nothing but missing ones parts the two stands.
+fn is_same_stand(track: &JointTrack, last: usize, first: usize) -> bool {
+    first == last + 1 && track.largest_change(last, first) <= SAME_POSTURE
+}
+
+/// Whether all that lies between two parts of a stand is the flicker of an encoder: no sample is far from either part,
+/// and the second is the same posture as the first was at its beginning, up to the flicker.
+fn is_flicker(track: &JointTrack, before: (usize, usize, &[f64]), after: (usize, &[f64]), max_gap: Stamp) -> bool {
+    let ((begin, last, anchor), (first, begins_at)) = (before, after);
+    if track.times()[first] - track.times()[last] > max_gap.min(FLICKER_TIME) {
+        return false;
+    }
+    let ends_at = track.mean_of(begin.max(last.saturating_sub(MEAN_OF)), last + 1);
+    let near = |index: usize| {
+        [&ends_at[..], begins_at].iter().all(|mean| track.largest_difference(mean, track.at(index)) <= FLICKER)
+    };
+    let moved = track.largest_difference(&ends_at, begins_at);
+    moved <= FLICKER / 2.0 && track.largest_difference(anchor, begins_at) <= FLICKER && (last..=first).all(near)
+}
+
+/// Samples at the ends of a part whose mean is taken, at the most.
+const MEAN_OF: usize = 64;
+/// How far a flickering encoder is from its mean at the most, radians or metres: a tenth of a degree.
+const FLICKER: f64 = 2e-3;
+/// Flicker hides a stand for less than this.
+const FLICKER_TIME: Stamp = 400_000_000;
 
 /// Joint values that are the same posture for an encoder, radians or metres.
 const SAME_POSTURE: f64 = 2e-4;
@@ -73,10 +102,19 @@ fn speed(track: &JointTrack, index: usize, max_gap: Stamp) -> f64 {
     if last == index && index + 1 < times.len() && times[index + 1] - times[index] <= max_gap {
         last += 1;
     }
-    match times[last] - times[first] {
-        0 => f64::INFINITY,
-        duration => track.largest_change(first, last) / (duration as f64 * 1e-9),
+    // Two halves, which share the sample in the middle of an odd number.
+    let half = (last - first) / 2 + 1;
+    let halves = [(first, first + half), (last + 1 - half, last + 1)];
+    let middle = |(begin, end): (usize, usize)| {
+        let sum: f64 = (begin..end).map(|index| (times[index] - times[first]) as f64).sum();
+        sum / (end - begin) as f64
+    };
+    let duration = middle(halves[1]) - middle(halves[0]);
+    if duration <= 0.0 {
+        return f64::INFINITY;
     }
+    let [from, to] = halves.map(|(begin, end)| track.mean_of(begin, end));
+    track.largest_difference(&from, &to) / (duration * 1e-9)
 }
 
 pub(crate) fn nanoseconds(seconds: f64) -> Stamp {
@@ -106,6 +144,43 @@ mod tests {
         assert!((seconds(stands[1].begin) - 2.05).abs() < 0.02 && seconds(stands[1].end) == 2.99, "{stands:?}");
         let short = find_stands(&track(700), &SelectionOptions::default());
         assert_eq!(short.len(), 1, "0.25 s are not a stand: {short:?}");
+    }
+
+    #[test]
+    fn flicker_of_an_encoder_hides_no_stand() {
+        // The track's second joint flickers by 1e-3 rad in all ways that encoders do, at several rates.
+        let flickers: [(&str, fn(i64) -> f64); 5] = [
+            ("every sample", |step| (step % 2) as f64),
+            ("blocks of three", |step| (step / 3 % 2) as f64),
+            ("blocks of seven", |step| (step / 7 % 2) as f64),
+            ("like noise", |step| (step * 7919 % 101) as f64 / 101.0),
+            ("now and then", |step| f64::from(step % 23 == 0)),
+        ];
+        for (name, flicker) in flickers {
+            for rate in [20, 50, 100, 250] {
+                let mut track = JointTrack::new(vec![true, true]);
+                for step in 0..5 * rate {
+                    let share = (step as f64 / rate as f64 - 2.0).clamp(0.0, 1.0);
+                    track.push(step * (1_000_000_000 / rate), &[share, 1e-3 * flicker(step)]);
+                }
+                let stands = find_stands(&track, &SelectionOptions::default());
+                assert_eq!(stands.len(), 2, "{name}, {rate} Hz: {stands:?}");
+                let length = (stands[0].end - stands[0].begin) as f64 * 1e-9;
+                assert!(length > 1.6, "{name}, {rate} Hz: {stands:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn creeping_is_no_stand() {
+        for speed in [0.02, 0.05] {
+            let mut track = JointTrack::new(vec![true]);
+            for step in 0..500 {
+                track.push(step * 10_000_000, &[speed * 0.01 * step as f64 + 5e-4 * (step % 2) as f64]);
+            }
+            let stands = find_stands(&track, &SelectionOptions::default());
+            assert!(stands.is_empty(), "{speed}: {stands:?}");
+        }
     }
 
     #[test]

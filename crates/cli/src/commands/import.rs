@@ -6,23 +6,24 @@ use crate::progress::Screen;
 use crate::screen::{self, say};
 use anyhow::{Context, Result, bail};
 use clap::error::ErrorKind;
-use clap::{Args, CommandFactory, ValueHint};
-use skclam::import::{CameraSource, DepthChoice, ImportOptions, import_recording, read_joint_log};
+use clap::{Args, CommandFactory, ValueEnum, ValueHint};
+use skclam::import::{CameraSource, ClockChoice, DepthChoice, ImportOptions, import_recording, read_joint_log};
 use skclam::output::{Contents, StagedFolder};
 use skclam::recordings::{Recording, Selection, SelectionOptions};
-use skclam::rig::{Rig, builtin_names};
+use skclam::rig::{Rig, builtin_names, builtin_rig};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `import`.
 #[derive(Debug, Args)]
 pub struct ImportArgs {
-    /// A ROS 1 .bag, a ROS 2 .mcap or .db3 or the folder that holds them, a RealSense Viewer .bag, a TUM RGB-D folder.
+    /// A ROS 1 .bag, a ROS 2 .mcap or .db3 or the folder that holds them (compressed with zstd too), a RealSense Viewer
+    /// .bag, a TUM RGB-D folder.
     #[arg(value_hint = ValueHint::AnyPath)]
     pub recording: PathBuf,
     /// Folder for the data set; made if it is not there.
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
-    /// Rig file with the arm and the mount; its cameras stand where the recording has no CameraInfo.
+    /// Rig file with the arm and the mount; its cameras are taken where the recording has no CameraInfo that can be read.
     #[arg(long, value_name = "RIG", value_hint = ValueHint::FilePath, conflicts_with = "robot")]
     pub rig: Option<PathBuf>,
     /// A built-in robot by name (ur5e, franka-fr3, ...): its mount is a guess that you should replace.
@@ -37,7 +38,8 @@ pub struct ImportArgs {
     /// Topic of the joint states; by default the only one that has the arm's joints.
     #[arg(long, value_name = "TOPIC")]
     pub joint_topic: Option<String>,
-    /// The recording's names of the joints from base to flange, where they are not those of the rig.
+    /// The recording's names of the joints from base to flange, where they are not those of the rig; for positions
+    /// without names, names in their order, "-" for one that is no joint of the arm.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub joint_names: Option<Vec<String>>,
     /// Joints that were recorded apart: CSV with timestamp_s and q1_deg (or q1_rad, q1_mm) ...
@@ -49,6 +51,9 @@ pub struct ImportArgs {
     /// Keep the intrinsics of --rig even where the recording has its own.
     #[arg(long)]
     pub rig_cameras: bool,
+    /// Which times pair images and joints: the stamps in the headers, or the times of recording.
+    #[arg(long, value_name = "CLOCK", value_enum, default_value_t = ClockArg::Auto)]
+    pub clock: ClockArg,
     /// Take images of the moving arm, with interpolated joints; without it, one image each time that the arm stands still.
     #[arg(long)]
     pub moving: bool,
@@ -67,6 +72,17 @@ pub struct ImportArgs {
     /// Images within so many seconds after a stop are not used.
     #[arg(long, value_name = "S", default_value_t = SelectionOptions::default().settle_s)]
     pub settle: f64,
+}
+
+/// Which of a message's times counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ClockArg {
+    /// The stamps in the headers; the times of recording where the stamps stand still.
+    Auto,
+    /// The stamps in the headers.
+    Header,
+    /// The times of recording.
+    Log,
 }
 
 /// Makes a data set of a recording.
@@ -95,7 +111,7 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
         return Ok(());
     }
     let mut warnings = summary.warnings.clone();
-    if args.robot.is_some() {
+    if options(args).builtin_rig {
         warnings.push("the mount is that of the built-in robot, a guess: put yours into rig.toml".to_owned());
     }
     screen::warn(cli.quiet, &warnings);
@@ -136,6 +152,13 @@ fn options(args: &ImportArgs) -> ImportOptions {
         },
         joint_topic: args.joint_topic.clone(),
         joint_names: args.joint_names.clone(),
+        // --robot may name a file too, whose cameras somebody has described.
+        builtin_rig: args.robot.as_ref().is_some_and(|name| builtin_rig(name).is_some()),
+        clock: match args.clock {
+            ClockArg::Auto => ClockChoice::Automatic,
+            ClockArg::Header => ClockChoice::Header,
+            ClockArg::Log => ClockChoice::Log,
+        },
         cameras: if args.rig_cameras { CameraSource::Rig } else { CameraSource::Recording },
         selection: SelectionOptions {
             selection,

@@ -46,6 +46,20 @@ pub enum ImportError {
         /// What was found and what can be done.
         problem: String,
     },
+    /// Images and joints are not timed by one clock.
+    #[error("{problem}")]
+    Clocks {
+        /// The gap, and what can be done.
+        problem: String,
+    },
+    /// Something was wrong with the recording beside what ended the import.
+    #[error("{source}\n{notes}")]
+    Noted {
+        /// What ended the import.
+        source: Box<ImportError>,
+        /// What was passed over, one line each.
+        notes: String,
+    },
     /// A camera is not known, or not as large as its images.
     #[error("{camera} camera: {problem}")]
     Camera {

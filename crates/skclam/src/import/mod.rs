@@ -5,24 +5,33 @@
 //! read. Memory does not grow with the recording.
 
 mod cameras;
+mod clocks;
 mod error;
 mod first_pass;
+mod frames;
+mod images;
 mod joint_log;
+mod joints;
+mod passed_over;
 mod topics;
 mod write;
 
+pub use clocks::ClockChoice;
 pub use error::ImportError;
 pub use joint_log::read_joint_log;
 
 use crate::dataset::PostureRecord;
 use crate::output::StagedFolder;
 use crate::progress::{Progress, Stage};
+use clocks::{Times, choose_clock};
 use first_pass::{FirstPass, first_pass};
+use images::Images;
+use passed_over::PassedOver;
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
 use skclam_recordings::{
-    ColorPixels, JointTrack, MessageKind, PlannedPosture, PosturePlan, Recording, RecordingError, Selection,
-    SelectionOptions, plan_postures, sharpness,
+    Clock, ColorPixels, JointCollector, JointTrack, MessageKind, PlannedPosture, PosturePlan, Recording,
+    RecordingError, Selection, SelectionOptions, plan_postures, sharpness,
 };
 use skclam_rig::{PostureState, Rig};
 use std::collections::BTreeMap;
@@ -66,6 +75,11 @@ pub struct ImportOptions {
     pub joint_names: Option<Vec<String>>,
     /// Intrinsics.
     pub cameras: CameraSource,
+    /// Whether the rig is a built-in one: its arm may be that of the recording, its cameras are those of the virtual
+    /// cell and never stand in for real ones.
+    pub builtin_rig: bool,
+    /// Which times pair images and joints.
+    pub clock: ClockChoice,
     /// Which images become postures.
     pub selection: SelectionOptions,
 }
@@ -107,19 +121,42 @@ pub fn import_recording(
     staged: &StagedFolder,
     progress: &dyn Progress,
 ) -> Result<ImportSummary, ImportError> {
-    let FirstPass { chosen, images, tracks, mut cameras, mut warnings } =
-        first_pass(recording, rig, joint_log.is_none(), options, progress)?;
-    let (joint_topic, mut track) = match joint_log {
-        Some(log) => ("the joint log".to_owned(), log),
-        None => topics::choose_track(recording, rig, tracks, options.joint_topic.as_deref(), &mut warnings)?,
-    };
-    track.sort();
-    if track.stride() > 1 {
-        warnings.push(format!("every {}th joint state was used, to bound memory", track.stride()));
+    let mut passed_over = PassedOver::default();
+    let imported = import_postures(recording, rig, joint_log, options, staged, progress, &mut passed_over);
+    let notes = [passed_over.warnings(), recording.cuts().to_vec()].concat();
+    match imported {
+        Ok(mut summary) => {
+            summary.warnings.splice(0..0, notes);
+            Ok(summary)
+        }
+        // What was wrong with the recording may be why it ended so.
+        Err(error) if !notes.is_empty() && !matches!(error, ImportError::Recording(RecordingError::Stopped)) => {
+            Err(ImportError::Noted { source: Box::new(error), notes: notes.join("\n") })
+        }
+        Err(error) => Err(error),
     }
-    let color_images = images.get(&chosen.color).cloned().unwrap_or_default();
-    let depth_images = chosen.depth.and_then(|topic| images.get(&topic).cloned()).unwrap_or_default();
-    let plan = plan_postures(&track, &color_images, &depth_images, &options.selection)?;
+}
+
+fn import_postures(
+    recording: &mut Recording,
+    rig: &Rig,
+    joint_log: Option<JointTrack>,
+    options: &ImportOptions,
+    staged: &StagedFolder,
+    progress: &dyn Progress,
+    passed_over: &mut PassedOver,
+) -> Result<ImportSummary, ImportError> {
+    // The depth camera of a built-in rig is nobody's; the colour camera is asked for where it is used.
+    let of_arm = Rig { depth: rig.depth.filter(|_| !options.builtin_rig), ..rig.clone() };
+    let rig = &of_arm;
+    let FirstPass { chosen, mut images, joints, poses, mut cameras, mut warnings } =
+        first_pass(recording, rig, joint_log.is_none(), options, passed_over, progress)?;
+    let Timed { joint_topic, track, clock } =
+        timed(recording, rig, joint_log, joints, poses, &chosen, &mut images, options, &mut warnings)?;
+    let stamps = |topic: usize| images.stamps(topic, clock);
+    let color_images = stamps(chosen.color);
+    let depth_images = chosen.depth.map(stamps).unwrap_or_default();
+    let mut plan = plan_postures(&track, &color_images, &depth_images, &options.selection)?;
     enough(&plan, color_images.len(), &track, options)?;
     if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
         warnings.push(
@@ -127,9 +164,25 @@ pub fn import_recording(
                 .to_owned(),
         );
     }
+    if plan.without_depth == plan.postures.len() && !depth_images.is_empty() {
+        warnings.push(format!(
+            "no depth image is within {} s of a colour image: do both cameras stamp with one clock?",
+            options.selection.depth_tolerance_s
+        ));
+    }
     progress.begin(Stage::Import, plan.postures.iter().map(|posture| posture.candidates.len() as u64).sum());
-    let taken = sharpest(recording, &plan.postures, progress, &mut warnings)?;
-    let written = write::images(recording, &chosen, &plan.postures, &taken, staged, progress)?;
+    let mut taken = sharpest(recording, &plan.postures, progress)?;
+    let written = write::images(recording, &chosen, &plan.postures, &taken, staged, passed_over, progress)?;
+    // A posture whose image could not be read is none.
+    let has_image: Vec<bool> = plan.postures.iter().zip(&taken).map(|(p, &t)| written.has(&p.candidates[t])).collect();
+    let mut keep = has_image.iter();
+    plan.postures.retain(|_| keep.next().copied().unwrap_or(false));
+    let mut keep = has_image.iter();
+    taken.retain(|_| keep.next().copied().unwrap_or(false));
+    if plan.postures.len() < 2 {
+        let reason = format!("the images of {} more could not be read", has_image.len() - plan.postures.len());
+        return Err(ImportError::TooFewPostures { got: plan.postures.len(), reason });
+    }
     let robot = rig.robot.as_ref();
     let rig = cameras.rig(recording, rig, &chosen, &written, options, &mut warnings)?;
     let records: Vec<PostureRecord> = plan
@@ -145,6 +198,7 @@ pub fn import_recording(
     };
     staged.write("postures.csv", crate::dataset::write_postures(&records, &kinds)?)?;
     staged.write("rig.toml", rig.to_toml()?)?;
+    write::frames(&cameras, &chosen, staged)?;
     limits_warning(&rig, &records, &mut warnings);
     let name = |topic: usize| recording.topics()[topic].name.clone();
     Ok(ImportSummary {
@@ -183,12 +237,74 @@ fn enough(plan: &PosturePlan, images: usize, track: &JointTrack, options: &Impor
     Err(ImportError::TooFewPostures { got: plan.postures.len(), reason })
 }
 
+/// The joints and the clock that times them and the images.
+struct Timed {
+    joint_topic: String,
+    track: JointTrack,
+    clock: Clock,
+}
+
+#[allow(clippy::too_many_arguments, reason = "what the first pass found, by part")]
+fn timed(
+    recording: &Recording,
+    rig: &Rig,
+    joint_log: Option<JointTrack>,
+    mut collector: JointCollector,
+    poses: BTreeMap<usize, JointTrack>,
+    chosen: &Chosen,
+    images: &mut Images,
+    options: &ImportOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Timed, ImportError> {
+    let mut image_times = images.times(recording, chosen);
+    let mut repaired = images.repair(&image_times);
+    let strays = "some stamps are far off all others of their topic (0 as a rule): they were put where the times of recording say";
+    if let Some((joint_topic, mut track)) = apart(recording, rig, joint_log, poses) {
+        let times = track.times().iter().map(|&time| (time, time)).collect();
+        let joints = Times { what: joint_topic.clone(), times, has_log: false };
+        if repaired > 0 {
+            warnings.push(strays.to_owned());
+            image_times = images.times(recording, chosen);
+        }
+        let clock = choose_clock(&image_times, &[joints], options.clock, warnings)?;
+        track.sort();
+        return Ok(Timed { joint_topic, track, clock });
+    }
+    let joints = joints::choose(recording, rig, &collector, options, warnings)?;
+    repaired += joints.repair(&mut collector);
+    if repaired > 0 {
+        warnings.push(strays.to_owned());
+        image_times = images.times(recording, chosen);
+    }
+    let clock = choose_clock(&image_times, &joints.times(&collector), options.clock, warnings)?;
+    let robot = rig.robot.as_ref().ok_or_else(|| ImportError::NoJoints { problem: "the rig has no arm".to_owned() })?;
+    let mut track = joints.track(&collector, robot, clock, options, warnings)?;
+    track.sort();
+    Ok(Timed { joint_topic: joints.topic, track, clock })
+}
+
+/// Joints or poses that are not the messages of a robot.
+fn apart(
+    recording: &Recording,
+    rig: &Rig,
+    joint_log: Option<JointTrack>,
+    poses: BTreeMap<usize, JointTrack>,
+) -> Option<(String, JointTrack)> {
+    match (joint_log, rig.robot.is_some()) {
+        (Some(log), _) => Some(("the joint log".to_owned(), log)),
+        (None, false) => {
+            let (topic, track) = poses.into_iter().find(|(_, track)| !track.is_empty())?;
+            Some((recording.topics()[topic].name.clone(), track))
+        }
+        (None, true) => None,
+    }
+}
+
 /// Which candidate of each posture is the sharpest.
 fn sharpest(
     recording: &mut Recording,
     postures: &[PlannedPosture],
     progress: &dyn Progress,
-    warnings: &mut Vec<String>,
 ) -> Result<Vec<usize>, ImportError> {
     let choices = postures.iter().filter(|posture| posture.candidates.len() > 1);
     let places: Vec<_> = choices.flat_map(|posture| &posture.candidates).map(|image| image.color.place).collect();
@@ -197,9 +313,9 @@ fn sharpest(
         if progress.stop_requested() {
             return Err(RecordingError::Stopped);
         }
-        match decode_color(topic, message.data) {
-            Ok(pixels) => drop(values.insert(message.place, sharpness(&pixels.image.to_luma8()))),
-            Err(error) => warnings.push(format!("an image was passed over: {error}")),
+        // What is taken after all is counted when it is written.
+        if let Ok(pixels) = decode_color(topic, message.data) {
+            values.insert(message.place, sharpness(&pixels.image.to_luma8()));
         }
         progress.step();
         Ok(())
