@@ -146,8 +146,8 @@ mod tests {
         assert!(message(&info("equidistant", &[0.1; 4])).contains("rectify"));
         assert!(message(&info("rational_polynomial", &[0.1; 8])).contains("8 coefficients"));
         let mut blind = info("plumb_bob", &[]);
-        blind.matrix = [0.0; 9];
-        assert!(message(&blind).contains("not calibrated"));
+        (blind.matrix, blind.projection) = ([0.0; 9], [0.0; 12]);
+        assert!(message(&blind).contains("not calibrated") && message(&blind).contains("--rig RIG --rig-cameras"));
         blind.width = 0;
         assert!(message(&blind).contains("0 x 480"));
         // P is another camera where the image has distortion.
