@@ -245,6 +245,14 @@ impl Recording {
         &self.topics
     }
 
+    /// The file that a message is, in a folder of image files.
+    pub fn file_of(&self, place: Place) -> Option<&str> {
+        match self.files.get(place.file as usize)? {
+            RecordingFile::Tum(folder) => folder.file_of(place.offset),
+            _ => None,
+        }
+    }
+
     /// Files that end early, as those of a recorder that crashed do: found by the last [`scan`](Self::scan), which read
     /// them up to that point.
     pub fn cuts(&self) -> &[String] {

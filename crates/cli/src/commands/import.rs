@@ -7,7 +7,10 @@ use crate::screen::{self, say};
 use anyhow::{Context, Result, bail};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum, ValueHint};
-use skclam::import::{CameraSource, ClockChoice, DepthChoice, ImportOptions, import_recording, read_joint_log};
+use skclam::import::{
+    CameraSource, ClockChoice, DepthChoice, ImportOptions, ImportSummary, PoseNotation, PoseTableOptions, import_poses,
+    import_recording, read_joint_log,
+};
 use skclam::output::{Contents, StagedFolder};
 use skclam::recordings::{Recording, Selection, SelectionOptions};
 use skclam::rig::{Rig, builtin_names, builtin_rig};
@@ -48,6 +51,18 @@ pub struct ImportArgs {
     /// What is to be added to the times of --joints to get those of the images, seconds.
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, requires = "joints")]
     pub joint_offset_s: f64,
+    /// A folder of images and a table of the flange's poses, as this maker's controller shows them, instead of a recording.
+    #[arg(long, value_name = "MAKER", value_enum, conflicts_with_all = ["joints", "joint_topic", "joint_names", "robot"])]
+    pub poses: Option<PosesArg>,
+    /// The table of poses; by default the only .csv of the folder.
+    #[arg(long, value_name = "CSV", value_hint = ValueHint::FilePath, requires = "poses")]
+    pub pose_table: Option<PathBuf>,
+    /// Unit of lengths where the columns do not say (x_mm, x_m); by default the maker's.
+    #[arg(long, value_name = "UNIT", value_enum, requires = "poses")]
+    pub poses_length: Option<LengthArg>,
+    /// Unit of angles where the columns do not say (a_deg, a_rad); by default the maker's.
+    #[arg(long, value_name = "UNIT", value_enum, requires = "poses")]
+    pub poses_angle: Option<AngleArg>,
     /// Keep the intrinsics of --rig even where the recording has its own.
     #[arg(long)]
     pub rig_cameras: bool,
@@ -85,8 +100,76 @@ pub enum ClockArg {
     Log,
 }
 
+/// Whose controller wrote the poses, by its columns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PosesArg {
+    /// X Y Z A B C.
+    Kuka,
+    /// X Y Z W P R.
+    Fanuc,
+    /// X Y Z q1 q2 q3 q4, the real part first.
+    Abb,
+    /// X Y Z Rx Ry Rz: a rotation vector.
+    Ur,
+    /// X Y Z Rx Ry Rz: about x, the new y, the newest z.
+    Staubli,
+    /// X Y Z Rx Ry Rz: about the fixed x, y, z.
+    Yaskawa,
+    /// m11 m12 ... m34, row by row.
+    Matrix,
+}
+
+/// A unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LengthArg {
+    /// Millimetres.
+    Mm,
+    /// Metres.
+    M,
+}
+
+/// A unit of angle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AngleArg {
+    /// Degrees.
+    Deg,
+    /// Radians.
+    Rad,
+}
+
+fn pose_options(args: &ImportArgs, poses: PosesArg) -> PoseTableOptions {
+    PoseTableOptions {
+        notation: match poses {
+            PosesArg::Kuka => PoseNotation::Kuka,
+            PosesArg::Fanuc => PoseNotation::Fanuc,
+            PosesArg::Abb => PoseNotation::Abb,
+            PosesArg::Ur => PoseNotation::Ur,
+            PosesArg::Staubli => PoseNotation::Staubli,
+            PosesArg::Yaskawa => PoseNotation::Yaskawa,
+            PosesArg::Matrix => PoseNotation::Matrix,
+        },
+        length_m: args.poses_length.map(|unit| if unit == LengthArg::Mm { 1e-3 } else { 1.0 }),
+        angle: args.poses_angle.map(|unit| if unit == AngleArg::Deg { 1f64.to_radians() } else { 1.0 }),
+    }
+}
+
+/// Makes a data set of a folder of images and a table of poses.
+fn import_pose_folder(cli: &Cli, args: &ImportArgs, poses: PosesArg) -> Result<()> {
+    let Some(path) = &args.rig else { bail!("--poses: the cameras are missing: give them in a rig (--rig RIG)") };
+    let rig = Rig::read(path)?;
+    let staged = screen::staged(cli.quiet, &args.out, Contents::DataSet)?;
+    let table = args.pose_table.as_deref();
+    let summary = import_poses(&args.recording, table, &rig, pose_options(args, poses), &staged)?;
+    copy_masks(&rig, path, &staged)?;
+    let folder = staged.publish()?;
+    show(cli, args, &summary, &folder)
+}
+
 /// Makes a data set of a recording.
 pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
+    if let Some(poses) = args.poses {
+        return import_pose_folder(cli, args, poses);
+    }
     let rig = match (&args.rig, &args.robot) {
         (Some(path), _) => Rig::read(path)?,
         (None, Some(name)) => builtin_or_file(name)?,
@@ -106,8 +189,12 @@ pub fn import(cli: &Cli, args: &ImportArgs) -> Result<()> {
     }
     let folder = staged.publish()?;
     screen.finish();
+    show(cli, args, &summary, &folder)
+}
+
+fn show(cli: &Cli, args: &ImportArgs, summary: &ImportSummary, folder: &Path) -> Result<()> {
     if cli.json {
-        screen::json(&summary)?;
+        screen::json(summary)?;
         return Ok(());
     }
     let mut warnings = summary.warnings.clone();

@@ -40,6 +40,16 @@ pub enum ImportError {
         /// What is wrong.
         problem: String,
     },
+    /// A table of poses is not well formed.
+    #[error("{}, line {line}: {problem}", path.display())]
+    Poses {
+        /// The file.
+        path: PathBuf,
+        /// Line, counted from 1 (the header).
+        line: u64,
+        /// What is wrong.
+        problem: String,
+    },
     /// No joints and no poses.
     #[error("{problem}")]
     NoJoints {

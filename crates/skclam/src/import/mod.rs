@@ -13,12 +13,14 @@ mod images;
 mod joint_log;
 mod joints;
 mod passed_over;
+mod poses;
 mod topics;
 mod write;
 
 pub use clocks::ClockChoice;
 pub use error::ImportError;
 pub use joint_log::read_joint_log;
+pub use poses::{PoseNotation, PoseTableOptions, import_poses};
 
 use crate::dataset::PostureRecord;
 use crate::output::StagedFolder;

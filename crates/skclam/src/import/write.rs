@@ -55,7 +55,7 @@ pub(super) fn images(
     }
     let digits = postures.len().saturating_sub(1).to_string().len().max(3);
     let mut written = Written::default();
-    let mut failed = None;
+    let (mut failed, mut bad) = (None, Vec::new());
     let outcome = recording.read(&places, &mut |topic, message| {
         if progress.stop_requested() {
             return Err(RecordingError::Stopped);
@@ -68,13 +68,22 @@ pub(super) fn images(
         };
         progress.step();
         result.or_else(|error| match error {
-            ImportError::Recording(error) => passed_over.check(&topic.name, Err::<(), _>(error)).map(drop),
+            ImportError::Recording(RecordingError::Message { problem, .. }) => {
+                bad.push((message.place, topic.name.clone(), problem));
+                Ok(())
+            }
+            ImportError::Recording(error) => Err(error),
             other => {
                 failed = Some(other);
                 Err(RecordingError::Stopped)
             }
         })
     });
+    for (place, topic, problem) in bad {
+        // In a folder an image is a file, and that is what a person looks for.
+        let file = recording.file_of(place).map_or(String::new(), |file| format!("{file}: "));
+        passed_over.add(&topic, format!("{file}{problem}"));
+    }
     match (failed, outcome) {
         (Some(error), _) => Err(error),
         (None, outcome) => Ok(outcome.map(|()| written)?),
