@@ -156,3 +156,76 @@ fn images_are_read_by_their_content_and_others_named() {
         }
     }
 }
+
+/// What an error advises is done word by word.
+#[test]
+fn advice_of_errors_works() {
+    let Some(folder) = case("image-clock-differs") else { return };
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("out");
+    let import = |name: &str, more: &[&str]| -> Vec<String> {
+        let recording = folder.join("..").join(name).join("recording");
+        let arguments = [&["import", utf8(&recording), "--quiet", "--out", utf8(&out)], more].concat();
+        arguments.into_iter().map(str::to_owned).collect()
+    };
+    let run = |arguments: &[String]| skclam(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let robot = ["--robot", "hp3j"];
+    let rig = folder.join("../camera-info-refused-rig-ignored/rig.toml");
+    let names = ["--joint-names", "S,L,U,R,B,T"];
+    for (name, first, words, advised) in [
+        ("image-clock-differs", &robot[..], "--clock log", [&robot[..], &["--clock", "log"]].concat()),
+        ("joint-names-empty", &robot[..], "--joint-names S,L,U,R,B,T", [&robot[..], &names[..]].concat()),
+        ("no-tf-static", &robot[..], "--depth-topic none", [&robot[..], &["--depth-topic", "none"]].concat()),
+        ("no-tf-static", &robot[..], "[depth.color_from_depth] in a rig (--rig)", vec!["--rig", utf8(&rig)]),
+        (
+            "camera-info-refused-rig-ignored",
+            &robot[..],
+            "--rig RIG --rig-cameras",
+            vec!["--rig", utf8(&rig), "--rig-cameras"],
+        ),
+    ] {
+        let refused = run(&import(name, first));
+        let message = text(&refused.stderr).replace('\n', " ");
+        assert!(refused.status.code() == Some(1) && message.contains(words), "{name}: {message}");
+        let done = run(&import(name, &advised));
+        assert!(done.status.success(), "{name}: {}", text(&done.stderr));
+        assert_eq!(fs::read_to_string(out.join("postures.csv")).unwrap().lines().count(), 7, "{name}");
+    }
+}
+
+#[test]
+fn poses_of_a_controller_beside_images_become_a_data_set() {
+    let place = tempfile::tempdir().unwrap();
+    let (folder, out, rig) = (place.path().join("shots"), place.path().join("out"), place.path().join("rig.toml"));
+    fs::create_dir(&folder).unwrap();
+    let camera = "width = 64\nheight = 48\nfx = 60.0\nfy = 60.0\ncx = 31.5\ncy = 23.5\n";
+    let mount = "[mount]\ntranslation_mm = [0.0, 0.0, 0.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n";
+    fs::write(&rig, format!("name = \"x\"\n{mount}[color]\n{camera}")).unwrap();
+    for index in 0..3 {
+        image::GrayImage::from_pixel(64, 48, image::Luma([40 * index]))
+            .save(folder.join(format!("{index}.png")))
+            .unwrap();
+    }
+    // One pose, as four makers write it: a quarter of a turn about z, then about the new y.
+    for (maker, header, numbers) in [
+        ("kuka", "X,Y,Z,A,B,C", "400,0,500,90,90,0"),
+        ("fanuc", "X,Y,Z,W,P,R", "400,0,500,0,90,90"),
+        ("abb", "x,y,z,q1,q2,q3,q4", "400,0,500,0.5,-0.5,0.5,0.5"),
+        ("ur", "X,Y,Z,Rx,Ry,Rz", "0.4,0,0.5,-1.2091995761561452,1.2091995761561452,1.2091995761561452"),
+    ] {
+        let table = format!("{header}\n{numbers}\n{numbers}\n{numbers}\n");
+        fs::write(folder.join("poses.csv"), table).unwrap();
+        succeed(&["import", utf8(&folder), "--poses", maker, "--rig", utf8(&rig), "--quiet", "--out", utf8(&out)]);
+        let line = fs::read_to_string(out.join("postures.csv")).unwrap().lines().nth(2).unwrap().to_owned();
+        let numbers: Vec<f64> = line.split(',').skip(1).take(7).map(|cell| cell.parse().unwrap()).collect();
+        let sign = numbers[6].signum();
+        let wanted = [400.0, 0.0, 500.0, -0.5 * sign, 0.5 * sign, 0.5 * sign, 0.5 * sign];
+        assert!(numbers.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-6), "{maker}: {line}");
+    }
+    assert_eq!(
+        skclam(&["import", utf8(&folder), "--poses", "kuka", "--robot", "ur5e", "--out", utf8(&out)]).status.code(),
+        Some(2)
+    );
+    let message = fail(&["import", utf8(&folder), "--poses", "kuka", "--out", utf8(&out)]);
+    assert!(message.contains("--rig"), "{message}");
+}

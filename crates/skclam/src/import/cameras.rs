@@ -35,7 +35,7 @@ const ROS_UNIT_M: f64 = 1e-3;
 impl Cameras {
     pub fn add_info(&mut self, topic: &str, info: CameraInfo) {
         let infos = self.infos.entry(topic.to_owned()).or_default();
-        if let Some((_, count)) = infos.iter_mut().find(|(known, _)| *known == info) {
+        if let Some((_, count)) = infos.iter_mut().find(|(known, _)| is_same(known, &info)) {
             *count += 1;
         } else if infos.len() < MAX_INFOS {
             infos.push((info, 1));
@@ -274,6 +274,17 @@ impl Cameras {
         let unit = unit.map(|unit| (unit as f32).to_string().parse().unwrap_or(unit));
         unit.or(rig.depth.as_ref().map(|depth| depth.unit_m)).unwrap_or(convention)
     }
+}
+
+/// Whether two messages are the same bit for bit: what is NaN in both is the same too.
+fn is_same(a: &CameraInfo, b: &CameraInfo) -> bool {
+    let numbers = |info: &CameraInfo| -> Vec<u64> {
+        info.distortion.iter().chain(&info.matrix).chain(&info.projection).map(|value| value.to_bits()).collect()
+    };
+    (a.width, a.height) == (b.width, b.height)
+        && (&a.frame_id, &a.distortion_model) == (&b.frame_id, &b.distortion_model)
+        && a.distortion.len() == b.distortion.len()
+        && numbers(a) == numbers(b)
 }
 
 fn is_rectified(topic: &Topic) -> bool {

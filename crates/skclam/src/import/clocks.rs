@@ -165,7 +165,11 @@ fn overlap(image: &Times, joint: &Times, clock: Clock) -> Result<(), ImportError
     if gap <= (SAME_CLOCK_S * 1e9) as Stamp {
         return Ok(());
     }
-    let advice = match (joint.has_log, image.has_log && clock == Clock::Header) {
+    let logs_meet = {
+        let ((a, b), (c, d)) = (image.range(Clock::Log), joint.range(Clock::Log));
+        a <= d && c <= b
+    };
+    let advice = match (joint.has_log, image.has_log && clock == Clock::Header && logs_meet) {
         (false, _) => "say what is to be added to the times of the joints with --joint-offset-s".to_owned(),
         (true, true) => CLOCK_ADVICE.to_owned(),
         (true, false) => "the two were not recorded together".to_owned(),

@@ -68,13 +68,9 @@ pub(super) fn first_pass(
         let others = topic.keep_main(named)?;
         if others > 0 {
             let kind = topic.kind();
-            passed_over.add(
-                &named.name,
-                format!(
-                    "{others} image(s) are not {} x {} in {:?}, as the others are",
-                    kind.size.0, kind.size.1, kind.encoding
-                ),
-            );
+            let ((width, height), encoding) = (kind.size, &kind.encoding);
+            let problem = format!("it is not {width} x {height} in {encoding:?}, as the others are");
+            passed_over.add_many(&named.name, others as u64, problem);
         }
         cameras.kinds.insert(*id, topic.kind().clone());
     }

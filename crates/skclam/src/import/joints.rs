@@ -29,7 +29,10 @@ pub(super) fn choose(
     let topics = recording.topics();
     let Some(robot) = &rig.robot else { return Err(no_joints(topics, rig, options)) };
     let arm: Vec<String> = robot.joints().iter().map(|joint| joint.name.clone()).collect();
+    let has_nameless = collector.topics().values().any(|topic| topic.nameless.is_some());
     let resolve = |names: &[&str]| match &options.joint_names {
+        // For positions without names these are in the order of the positions; the arm's own names say which is which.
+        Some(given) if has_nameless && is_permutation(given, &arm) => JointNames::given(&arm, arm.len(), names),
         Some(given) => JointNames::given(given, arm.len(), names),
         None => JointNames::resolve(&arm, names),
     };
@@ -47,7 +50,10 @@ pub(super) fn choose(
         .collect();
     let (places, remark): (Vec<JointPlace>, _) = match complete.as_slice() {
         [(id, names)] => (names.recorded.iter().map(|name| (*id, name.clone())).collect(), names.remark.clone()),
-        [] => over_topics(topics, collector, &spoken, resolve)?,
+        [] => over_topics(topics, collector, &spoken, resolve).map_err(|error| {
+            // Names of a gripper beside nameless positions of the arm.
+            nameless(topics, collector, &arm, options).unwrap_or(error)
+        })?,
         several => {
             let names = list(several.iter().map(|(id, _)| &topics[*id]));
             let problem = format!("the arm's joints are on {names}; choose one with --joint-topic");
@@ -61,6 +67,15 @@ pub(super) fn choose(
     let topic = used.iter().map(|id| topics[*id].name.as_str()).collect::<Vec<_>>().join(", ");
     check_series(collector, &places, &topic, warnings)?;
     Ok(ChosenJoints { places, topic, joints: arm })
+}
+
+/// Whether the names that are given are the arm's, in any order.
+fn is_permutation(given: &[String], arm: &[String]) -> bool {
+    let mut given: Vec<&String> = given.iter().filter(|name| *name != "-").collect();
+    let mut arm: Vec<&String> = arm.iter().collect();
+    given.sort_unstable();
+    arm.sort_unstable();
+    given == arm
 }
 
 /// Joints that no topic has all of.

@@ -14,6 +14,7 @@ mod joint_log;
 mod joints;
 mod passed_over;
 mod poses;
+mod timing;
 mod topics;
 mod write;
 
@@ -25,18 +26,17 @@ pub use poses::{PoseNotation, PoseTableOptions, import_poses};
 use crate::dataset::PostureRecord;
 use crate::output::StagedFolder;
 use crate::progress::{Progress, Stage};
-use clocks::{Times, choose_clock};
 use first_pass::{FirstPass, first_pass};
-use images::Images;
 use passed_over::PassedOver;
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
 use skclam_recordings::{
-    Clock, ColorPixels, JointCollector, JointTrack, MessageKind, PlannedPosture, PosturePlan, Recording,
-    RecordingError, Selection, SelectionOptions, plan_postures, sharpness,
+    ColorPixels, JointTrack, MessageKind, PlannedPosture, PosturePlan, Recording, RecordingError, Selection,
+    SelectionOptions, plan_postures, sharpness,
 };
 use skclam_rig::{PostureState, Rig};
 use std::collections::BTreeMap;
+use timing::{Timed, timed};
 use topics::Chosen;
 
 /// Where the cameras' intrinsics come from.
@@ -151,69 +151,72 @@ fn import_postures(
     // The depth camera of a built-in rig is nobody's; the colour camera is asked for where it is used.
     let of_arm = Rig { depth: rig.depth.filter(|_| !options.builtin_rig), ..rig.clone() };
     let rig = &of_arm;
-    let FirstPass { chosen, mut images, joints, poses, mut cameras, mut warnings } =
-        first_pass(recording, rig, joint_log.is_none(), options, passed_over, progress)?;
-    let Timed { joint_topic, track, clock } =
-        timed(recording, rig, joint_log, joints, poses, &chosen, &mut images, options, &mut warnings)?;
-    let stamps = |topic: usize| images.stamps(topic, clock);
-    let color_images = stamps(chosen.color);
-    let depth_images = chosen.depth.map(stamps).unwrap_or_default();
-    let mut plan = plan_postures(&track, &color_images, &depth_images, &options.selection)?;
-    enough(&plan, color_images.len(), &track, options)?;
-    if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
-        warnings.push(
-            "joint states come too seldom to tell whether the arm moved; every image with joints beside it is taken"
-                .to_owned(),
-        );
-    }
-    if plan.without_depth == plan.postures.len() && !depth_images.is_empty() {
-        warnings.push(format!(
-            "no depth image is within {} s of a colour image: do both cameras stamp with one clock?",
-            options.selection.depth_tolerance_s
-        ));
-    }
+    let mut found = first_pass(recording, rig, joint_log.is_none(), options, passed_over, progress)?;
+    let timed = timed(recording, rig, joint_log, &mut found, options)?;
+    let mut plan = plan(&mut found, &timed, options)?;
     progress.begin(Stage::Import, plan.postures.iter().map(|posture| posture.candidates.len() as u64).sum());
     let mut taken = sharpest(recording, &plan.postures, progress)?;
-    let written = write::images(recording, &chosen, &plan.postures, &taken, staged, passed_over, progress)?;
-    // A posture whose image could not be read is none.
-    let has_image: Vec<bool> = plan.postures.iter().zip(&taken).map(|(p, &t)| written.has(&p.candidates[t])).collect();
-    let mut keep = has_image.iter();
-    plan.postures.retain(|_| keep.next().copied().unwrap_or(false));
-    let mut keep = has_image.iter();
-    taken.retain(|_| keep.next().copied().unwrap_or(false));
-    if plan.postures.len() < 2 {
-        let reason = format!("the images of {} more could not be read", has_image.len() - plan.postures.len());
-        return Err(ImportError::TooFewPostures { got: plan.postures.len(), reason });
-    }
+    let written = write::images(recording, &found.chosen, &plan.postures, &taken, staged, passed_over, progress)?;
+    drop_unread(&mut plan, &mut taken, &written)?;
+    let FirstPass { chosen, images, mut cameras, mut warnings, .. } = found;
+    let imported = cameras.rig(recording, rig, &chosen, &written, options, &mut warnings)?;
     let robot = rig.robot.as_ref();
-    let rig = cameras.rig(recording, rig, &chosen, &written, options, &mut warnings)?;
-    let records: Vec<PostureRecord> = plan
-        .postures
-        .iter()
-        .zip(&taken)
-        .enumerate()
-        .map(|(index, (posture, &candidate))| write::record(index, &posture.candidates[candidate], &written, robot))
-        .collect();
-    let kinds: Vec<JointKind> = match robot {
-        Some(robot) => robot.joints().iter().map(|joint| joint.kind).collect(),
-        None => vec![],
-    };
+    let candidates = plan.postures.iter().zip(&taken).map(|(posture, &candidate)| &posture.candidates[candidate]);
+    let records: Vec<PostureRecord> =
+        candidates.enumerate().map(|(index, candidate)| write::record(index, candidate, &written, robot)).collect();
+    let kinds: Vec<JointKind> = robot.iter().flat_map(|robot| robot.joints()).map(|joint| joint.kind).collect();
     staged.write("postures.csv", crate::dataset::write_postures(&records, &kinds)?)?;
-    staged.write("rig.toml", rig.to_toml()?)?;
+    staged.write("rig.toml", imported.to_toml()?)?;
     write::frames(&cameras, &chosen, staged)?;
-    limits_warning(&rig, &records, &mut warnings);
+    limits_warning(&imported, &records, &mut warnings);
     let name = |topic: usize| recording.topics()[topic].name.clone();
     Ok(ImportSummary {
         postures: records.len(),
         selection: plan.selection,
         color_topic: name(chosen.color),
         depth_topic: chosen.depth.map(name),
-        joint_topic,
-        color_images: color_images.len(),
+        joint_topic: timed.joint_topic,
+        color_images: images.stamps(chosen.color, timed.clock).len(),
         moving: plan.moving,
         without_depth: plan.without_depth,
         warnings,
     })
+}
+
+/// Which images are worth decoding.
+fn plan(found: &mut FirstPass, timed: &Timed, options: &ImportOptions) -> Result<PosturePlan, ImportError> {
+    let stamps = |topic: usize| found.images.stamps(topic, timed.clock);
+    let color_images = stamps(found.chosen.color);
+    let depth_images = found.chosen.depth.map(stamps).unwrap_or_default();
+    let plan = plan_postures(&timed.track, &color_images, &depth_images, &options.selection)?;
+    enough(&plan, color_images.len(), &timed.track, options)?;
+    if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
+        found.warnings.push(
+            "joint states come too seldom to tell whether the arm moved; every image with joints beside it is taken"
+                .to_owned(),
+        );
+    }
+    if plan.without_depth == plan.postures.len() && !depth_images.is_empty() {
+        found.warnings.push(format!(
+            "no depth image is within {} s of a colour image: do both cameras stamp with one clock?",
+            options.selection.depth_tolerance_s
+        ));
+    }
+    Ok(plan)
+}
+
+/// A posture whose image could not be read is none.
+fn drop_unread(plan: &mut PosturePlan, taken: &mut Vec<usize>, written: &write::Written) -> Result<(), ImportError> {
+    let before = plan.postures.len();
+    let postures = std::mem::take(&mut plan.postures).into_iter().zip(std::mem::take(taken));
+    let has_image = |(posture, candidate): &(PlannedPosture, usize)| written.has(&posture.candidates[*candidate]);
+    (plan.postures, *taken) = postures.filter(has_image).unzip();
+    let got = plan.postures.len();
+    if got < 2 {
+        let reason = format!("the images of {} more could not be read", before - got);
+        return Err(ImportError::TooFewPostures { got, reason });
+    }
+    Ok(())
 }
 
 fn enough(plan: &PosturePlan, images: usize, track: &JointTrack, options: &ImportOptions) -> Result<(), ImportError> {
@@ -237,69 +240,6 @@ fn enough(plan: &PosturePlan, images: usize, track: &JointTrack, options: &Impor
         ),
     };
     Err(ImportError::TooFewPostures { got: plan.postures.len(), reason })
-}
-
-/// The joints and the clock that times them and the images.
-struct Timed {
-    joint_topic: String,
-    track: JointTrack,
-    clock: Clock,
-}
-
-#[allow(clippy::too_many_arguments, reason = "what the first pass found, by part")]
-fn timed(
-    recording: &Recording,
-    rig: &Rig,
-    joint_log: Option<JointTrack>,
-    mut collector: JointCollector,
-    poses: BTreeMap<usize, JointTrack>,
-    chosen: &Chosen,
-    images: &mut Images,
-    options: &ImportOptions,
-    warnings: &mut Vec<String>,
-) -> Result<Timed, ImportError> {
-    let mut image_times = images.times(recording, chosen);
-    let mut repaired = images.repair(&image_times);
-    let strays = "some stamps are far off all others of their topic (0 as a rule): they were put where the times of recording say";
-    if let Some((joint_topic, mut track)) = apart(recording, rig, joint_log, poses) {
-        let times = track.times().iter().map(|&time| (time, time)).collect();
-        let joints = Times { what: joint_topic.clone(), times, has_log: false };
-        if repaired > 0 {
-            warnings.push(strays.to_owned());
-            image_times = images.times(recording, chosen);
-        }
-        let clock = choose_clock(&image_times, &[joints], options.clock, warnings)?;
-        track.sort();
-        return Ok(Timed { joint_topic, track, clock });
-    }
-    let joints = joints::choose(recording, rig, &collector, options, warnings)?;
-    repaired += joints.repair(&mut collector);
-    if repaired > 0 {
-        warnings.push(strays.to_owned());
-        image_times = images.times(recording, chosen);
-    }
-    let clock = choose_clock(&image_times, &joints.times(&collector), options.clock, warnings)?;
-    let robot = rig.robot.as_ref().ok_or_else(|| ImportError::NoJoints { problem: "the rig has no arm".to_owned() })?;
-    let mut track = joints.track(&collector, robot, clock, options, warnings)?;
-    track.sort();
-    Ok(Timed { joint_topic: joints.topic, track, clock })
-}
-
-/// Joints or poses that are not the messages of a robot.
-fn apart(
-    recording: &Recording,
-    rig: &Rig,
-    joint_log: Option<JointTrack>,
-    poses: BTreeMap<usize, JointTrack>,
-) -> Option<(String, JointTrack)> {
-    match (joint_log, rig.robot.is_some()) {
-        (Some(log), _) => Some(("the joint log".to_owned(), log)),
-        (None, false) => {
-            let (topic, track) = poses.into_iter().find(|(_, track)| !track.is_empty())?;
-            Some((recording.topics()[topic].name.clone(), track))
-        }
-        (None, true) => None,
-    }
 }
 
 /// Which candidate of each posture is the sharpest.

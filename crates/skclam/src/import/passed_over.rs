@@ -24,7 +24,12 @@ impl PassedOver {
 
     /// Counts a bad message.
     pub fn add(&mut self, topic: &str, problem: String) {
-        self.topics.entry(topic.to_owned()).or_insert((0, problem)).0 += 1;
+        self.add_many(topic, 1, problem);
+    }
+
+    /// Counts bad messages with one problem.
+    pub fn add_many(&mut self, topic: &str, count: u64, problem: String) {
+        self.topics.entry(topic.to_owned()).or_insert((0, problem)).0 += count;
     }
 
     /// For a person, one line a topic.

@@ -14,8 +14,11 @@ fn moving() -> ImportOptions {
     options
 }
 
+/// Joints, topic, delay in ms, every how many-th time.
+type Part = (&'static [usize], &'static str, i64, usize);
+
 /// Splits the joint states: the joints of each part come in messages of their own, `delay_ms` later, every n-th time.
-fn split(rate: f64, parts: &[(&[usize], &str, i64, usize)]) -> Vec<Message> {
+fn split(rate: f64, parts: &[Part]) -> Vec<Message> {
     let mut all = Vec::new();
     let mut step = 0;
     for message in good(rate) {
@@ -54,7 +57,7 @@ fn the_good_recording_is_right_and_without_warnings() {
 #[test]
 fn joints_spread_over_messages_and_topics_are_merged_by_time() {
     let one: &str = "/joint_states";
-    let cases: Vec<Vec<(&[usize], &str, i64, usize)>> = vec![
+    let cases: Vec<Vec<Part>> = vec![
         vec![(&[0], one, 0, 1), (&[1, 2, 3, 4, 5], one, 0, 1)],
         vec![(&[1, 2, 3, 4, 5], one, 0, 1), (&[0], one, 7, 1)],
         vec![(&[0], one, 5, 3), (&[1, 2, 3, 4, 5], one, 0, 1)],
@@ -78,11 +81,11 @@ fn joints_spread_over_messages_and_topics_are_merged_by_time() {
             right(&format!("split {index} at {rate} Hz"), &split(rate, parts), &builtin(), &[]);
         }
     }
-    let overlapping: Vec<(&[usize], &str, i64, usize)> = vec![(&[0, 1, 2, 3], "/a", 0, 1), (&[3, 4, 5], "/b", 0, 1)];
+    let overlapping: Vec<Part> = vec![(&[0, 1, 2, 3], "/a", 0, 1), (&[3, 4, 5], "/b", 0, 1)];
     refused("a joint on two topics", &split(50.0, &overlapping), &builtin(), &["\"R\" is on /a, /b", "--joints"]);
-    let missing: Vec<(&[usize], &str, i64, usize)> = vec![(&[0, 1, 2, 3, 5], "/a", 0, 1)];
+    let missing: Vec<Part> = vec![(&[0, 1, 2, 3, 5], "/a", 0, 1)];
     refused("a joint is nowhere", &split(50.0, &missing), &builtin(), &["6 joints", "has 5", "--joints"]);
-    let once: Vec<(&[usize], &str, i64, usize)> = vec![(&[0], one, 0, 100_000), (&[1, 2, 3, 4, 5], one, 0, 1)];
+    let once: Vec<Part> = vec![(&[0], one, 0, 100_000), (&[1, 2, 3, 4, 5], one, 0, 1)];
     let seldom = import_with(&split(50.0, &once), &builtin());
     assert!(seldom.is_err(), "a joint that is known at the beginning alone");
 }
@@ -199,10 +202,9 @@ fn names_that_are_given_name_nameless_positions() {
             positions.reverse();
         }
     }
+    // The arm's own names say which position is which, in whatever order the positions come.
     let reversed: Vec<&str> = ARM.iter().rev().copied().collect();
-    // The order of the names is that of the positions; which joint is which is said by the arm's names.
-    right("reversed", &messages, &with_names(&ARM), &[]).records.len();
-    let _ = reversed;
+    right("reversed", &messages, &with_names(&reversed), &[]);
 }
 
 #[test]

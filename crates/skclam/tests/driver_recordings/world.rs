@@ -111,9 +111,9 @@ pub fn good(rate: f64) -> Vec<Message> {
         ];
         for (camera, image, frame, encoding, size) in cameras {
             let content = Content::Image { frame: frame.to_owned(), encoding, size };
-            all.push(message(&format!("/camera/{camera}/{image}"), IMAGE, seconds, 30_000_000, content));
+            all.push(message(&format!("/camera/{camera}/{image}"), IMAGE, seconds, 3_000_000, content));
             let content = Content::Info(info(frame, size));
-            all.push(message(&format!("/camera/{camera}/camera_info"), INFO, seconds, 30_000_000, content));
+            all.push(message(&format!("/camera/{camera}/camera_info"), INFO, seconds, 3_000_000, content));
         }
     }
     all

@@ -1,11 +1,14 @@
 //! A calibrated arm in the forms that people use: URDF, `kinematics.yaml`, a static transform, a table of corrections,
 //! JSON.
 
+mod mount;
+
 use crate::camera_frames::CameraFrames;
 use crate::output::{OutputError, StagedFolder};
+use mount::{ExportedMount, ExportedPose, mount};
 use serde::Serialize;
 use skclam_kinematics::{
-    Isometry3, KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
+    KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
     kinematics_yaml_of_table, line_diff, static_transform_line, write_urdf,
 };
 use skclam_rig::{JointCorrection, JointCorrections, Rig};
@@ -98,76 +101,6 @@ struct ExportedParameter {
     nominal: f64,
     calibrated: f64,
     correction: f64,
-}
-
-/// A pose as numbers.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct ExportedPose {
-    translation_mm: [f64; 3],
-    quaternion_xyzw: [f64; 4],
-}
-
-impl From<&Isometry3> for ExportedPose {
-    fn from(pose: &Isometry3) -> Self {
-        let t = pose.translation.vector * 1e3;
-        let q = pose.rotation.coords;
-        ExportedPose { translation_mm: [t.x, t.y, t.z], quaternion_xyzw: [q.x, q.y, q.z, q.w] }
-    }
-}
-
-/// The hand-eye transform, in the frames of the reader.
-#[derive(Debug, Serialize)]
-struct ExportedMount {
-    flange_frame: String,
-    /// The frame that the camera's driver has at the root of its tree, or the optical one.
-    child_frame: String,
-    /// Of `child_frame`.
-    flange_from_child: ExportedPose,
-    /// Of the optical frame, z forward.
-    flange_from_color: ExportedPose,
-    flange_from_color_nominal: Option<ExportedPose>,
-}
-
-/// A mount as a static transform.
-struct Mount {
-    child_frame: String,
-    flange_from_child: Isometry3,
-    notes: Vec<String>,
-}
-
-/// A frame has one parent: where the optical frame hangs in the tree of the camera's driver already, the mount is that of
-/// the frame at the root of this tree.
-fn mount(calibrated: &Rig, options: &ExportOptions) -> Mount {
-    let flange_from_color = calibrated.flange_from_color;
-    let as_optical =
-        |frame: &str, notes| Mount { child_frame: frame.to_owned(), flange_from_child: flange_from_color, notes };
-    match (&options.camera_frame, &options.frames) {
-        (Some(frame), Some(frames)) if *frame == frames.optical_frame && !frames.links.is_empty() => {
-            let parent = &frames.links[0].parent;
-            let note = format!(
-                "the camera's driver publishes \"{frame}\" below \"{parent}\" already, and a frame has one parent: without --camera-frame the transform of the driver's root frame is written"
-            );
-            as_optical(frame, vec![note])
-        }
-        (Some(frame), _) => as_optical(frame, vec![]),
-        (None, None) => as_optical(USUAL_CAMERA_FRAME, vec![]),
-        (None, Some(frames)) => {
-            let (root, root_from_optical, parent) = frames.root(&options.flange_frame);
-            let mut notes = Vec::new();
-            if root != frames.optical_frame {
-                notes.push(format!(
-                    "the transform is that of \"{root}\", the root of the camera driver's tree, by the static transforms of the recording: \"{}\" has a parent already",
-                    frames.optical_frame
-                ));
-            }
-            if let Some(parent) = parent {
-                notes.push(format!(
-                    "the recording has a transform from \"{parent}\" to \"{root}\" already; take it out of the description or the launch file before you publish this one"
-                ));
-            }
-            Mount { child_frame: root, flange_from_child: flange_from_color * root_from_optical.inverse(), notes }
-        }
-    }
 }
 
 #[derive(Debug, Serialize)]
@@ -412,23 +345,5 @@ mod tests {
         let mount: serde_json::Value =
             serde_json::from_str(&std::fs::read_to_string(out.join("mount.json")).unwrap()).unwrap();
         assert_eq!(mount["child_frame"], USUAL_CAMERA_FRAME);
-    }
-
-    #[test]
-    fn a_mount_hangs_on_the_root_of_the_drivers_tree() {
-        use crate::camera_frames::FrameLink;
-        let rig = builtin_rig("ur5e").unwrap().unwrap();
-        let turn = nalgebra::UnitQuaternion::from_euler_angles(-1.57, 0.0, -1.57);
-        let pose = Isometry3::from_parts(nalgebra::Translation3::new(0.0, 0.015, 0.002), turn);
-        let links = vec![FrameLink::new("optical", "camera_link", &pose)];
-        let frames = CameraFrames { optical_frame: "optical".to_owned(), links };
-        let mut options = ExportOptions { frames: Some(frames), ..ExportOptions::default() };
-        let found = mount(&rig, &options);
-        assert_eq!((found.child_frame.as_str(), found.notes.len()), ("camera_link", 1));
-        let off = (found.flange_from_child * pose).inverse() * rig.flange_from_color;
-        assert!(off.translation.vector.norm() < 1e-12 && off.rotation.angle() < 1e-9);
-        options.camera_frame = Some("optical".to_owned());
-        let found = mount(&rig, &options);
-        assert!(found.child_frame == "optical" && found.notes[0].contains("has one parent"), "{:?}", found.notes);
     }
 }
