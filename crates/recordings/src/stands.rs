@@ -19,7 +19,7 @@ const SPEED_WINDOW: Stamp = 100_000_000;
 /// A speed is the change over 0.1 s, from the mean of the first half to that of the second, or between the neighbouring
 /// samples where these are further apart. Where no sample came for longer than `max_gap_s` nobody knows what the arm did,
 /// and a stand ends; two stands at the same joint values with such a gap between are one. So are two between which the
-/// joints flickered and went nowhere.
+/// joints flickered and went nowhere; and an encoder that flickers all the time is watched for longer.
 pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand> {
     let times = track.times();
     let max_gap = nanoseconds(options.max_gap_s);
@@ -39,7 +39,8 @@ pub fn find_stands(track: &JointTrack, options: &SelectionOptions) -> Vec<Stand>
     };
     for index in 0..times.len() {
         let gap = index > 0 && times[index] - times[index - 1] > max_gap;
-        let still = speed(track, index, max_gap) <= options.max_joint_speed;
+        let still = speed(track, index, max_gap) <= options.max_joint_speed
+            || flickers_at_rest(track, index, options.max_joint_speed);
         if let (Some(first), true) = (open, gap || !still) {
             close(first, index - 1);
             open = None;
@@ -77,6 +78,29 @@ fn is_flicker(track: &JointTrack, before: (usize, usize, &[f64]), after: (usize,
 
 /// Samples at the ends of a part whose mean is taken, at the most.
 const MEAN_OF: usize = 64;
+/// Over what time a joint that flickers is watched, nanoseconds.
+const FLICKER_WINDOW: Stamp = 400_000_000;
+
+/// Whether no joint is far from its mean in a time that is longer than that of a speed, and the means of the two halves of
+/// this time are as near each other as those of an arm at rest: an encoder that flickers from sample to sample.
+fn flickers_at_rest(track: &JointTrack, index: usize, max_speed: f64) -> bool {
+    let times = track.times();
+    let (from, to) = (times[index] - FLICKER_WINDOW / 2, times[index] + FLICKER_WINDOW / 2);
+    let (begin, end) = (times.partition_point(|&t| t < from), times.partition_point(|&t| t <= to));
+    // An arm in motion is known by the ends alone, as a rule.
+    if end < begin + 3 || track.largest_change(begin, end - 1) > 2.0 * FLICKER {
+        return false;
+    }
+    let middle = begin + (end - begin) / 2;
+    let duration = (times[end - 1] - times[begin]) as f64 * 0.5e-9;
+    let [first, second] = [track.mean_of(begin, middle), track.mean_of(middle, end)];
+    if duration <= 0.0 || track.largest_difference(&first, &second) / duration > max_speed {
+        return false;
+    }
+    let mean = track.mean_of(begin, end);
+    (begin..end).all(|index| track.largest_difference(&mean, track.at(index)) <= FLICKER)
+}
+
 /// How far a flickering encoder is from its mean at the most, radians or metres: a tenth of a degree.
 const FLICKER: f64 = 2e-3;
 /// Flicker hides a stand for less than this.
@@ -149,7 +173,8 @@ mod tests {
     #[test]
     fn flicker_of_an_encoder_hides_no_stand() {
         // The track's second joint flickers by 1e-3 rad in all ways that encoders do, at several rates.
-        let flickers: [(&str, fn(i64) -> f64); 5] = [
+        let flickers: [(&str, fn(i64) -> f64); 6] = [
+            ("two at rest, one up", |step| f64::from(step % 3 == 0)),
             ("every sample", |step| (step % 2) as f64),
             ("blocks of three", |step| (step / 3 % 2) as f64),
             ("blocks of seven", |step| (step / 7 % 2) as f64),
