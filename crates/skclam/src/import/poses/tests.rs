@@ -31,6 +31,7 @@ fn poses() -> Vec<Isometry3> {
 fn rig() -> Rig {
     let mut rig = builtin_rig("hp3j").unwrap().unwrap();
     (rig.color.width, rig.color.height, rig.robot, rig.depth) = (16, 12, None, None);
+    (rig.color.fx, rig.color.fy, rig.color.cx, rig.color.cy) = (20.0, 20.0, 7.5, 5.5);
     rig
 }
 
