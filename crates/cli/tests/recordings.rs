@@ -151,7 +151,7 @@ fn recordings_that_are_none_and_wishes_that_cannot_be_met() {
     import(&junk, &["--robot", "ur5e"], &["junk.mcap", "no recording"]);
     assert!(fail(&["inspect", utf8(&junk)]).contains("no recording"));
     fs::write(&junk, b"\x89MCAP0\r\n\x01\xff\xff\xff\xff\xff\xff\xff\x7f").unwrap();
-    import(&junk, &["--robot", "ur5e"], &["junk.mcap", "announced"]);
+    import(&junk, &["--robot", "ur5e"], &["junk.mcap", "was not closed"]);
     import(&junk, &["--robot", "no-such-arm"], &["no-such-arm"]);
 
     let copy = small_copy(3);
@@ -166,7 +166,14 @@ fn recordings_that_are_none_and_wishes_that_cannot_be_met() {
     import(&recording, &far, &[]);
     let topic = ["--rig", utf8(&rig), "--joints", utf8(&log), "--color-topic", "/none"];
     import(&recording, &topic, &["/none"]);
+    // One bad image is passed over, two of three are too many.
     fs::write(recording.join("rgb/1.png"), "no image").unwrap();
+    let passed =
+        skclam(&["import", utf8(&recording), "--out", utf8(&out), "--rig", utf8(&rig), "--joints", utf8(&log)]);
+    let said = text(&passed.stderr);
+    assert!(passed.status.success() && said.contains("rgb/1.png") && said.contains("neither JPEG nor PNG"), "{said}");
+    fs::remove_dir_all(&out).unwrap();
+    fs::write(recording.join("rgb/2.png"), "no image").unwrap();
     import(&recording, &["--rig", utf8(&rig), "--joints", utf8(&log)], &["rgb/1.png", "neither JPEG nor PNG"]);
     fs::write(recording.join("rgb.txt"), "0.0 ../../outside.png\n").unwrap();
     import(&recording, &["--rig", utf8(&rig), "--joints", utf8(&log)], &["rgb.txt"]);

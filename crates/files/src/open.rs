@@ -4,7 +4,7 @@
 //! in it.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek};
 use std::path::Path;
 
 /// What a file is opened as; each kind has its largest size.
@@ -163,7 +163,26 @@ pub fn open(path: impl AsRef<Path>, kind: Kind) -> io::Result<File> {
     if metadata.len() > kind.max_bytes() {
         return Err(too_large(metadata.len(), kind));
     }
-    Ok(file)
+    refuse_pointer(file, metadata.len())
+}
+
+/// A repository that was cloned without Git LFS has small texts in the places of its large files.
+fn refuse_pointer(mut file: File, length: u64) -> io::Result<File> {
+    const BEGINNING: &[u8] = b"version https://git-lfs.github.com/spec/";
+    const MAX_POINTER: u64 = 1024;
+    if !(BEGINNING.len() as u64..=MAX_POINTER).contains(&length) {
+        return Ok(file);
+    }
+    let mut found = [0; BEGINNING.len()];
+    let read = file.read_exact(&mut found);
+    file.rewind()?;
+    match read {
+        Ok(()) if found == BEGINNING => {
+            let problem = "is a Git LFS pointer and not the file itself; fetch the file with `git lfs pull`";
+            Err(io::Error::new(io::ErrorKind::InvalidData, problem))
+        }
+        _ => Ok(file),
+    }
 }
 
 fn too_large(bytes: u64, kind: Kind) -> io::Error {
@@ -214,6 +233,19 @@ mod tests {
         assert_eq!(read(&large, Kind::Rig).unwrap(), b"\xff");
         assert!(read_text(&large, Kind::Rig).unwrap_err().to_string().contains("UTF-8"));
         assert_eq!(read(folder.path().join("gone"), Kind::Rig).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn pointers_of_git_lfs_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bag");
+        let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 123456\n";
+        std::fs::write(&path, pointer).unwrap();
+        for kind in [Kind::Recording, Kind::Image, Kind::Rig] {
+            assert!(read(&path, kind).unwrap_err().to_string().contains("git lfs pull"));
+        }
+        std::fs::write(&path, "version 1 of a text that is no pointer at all, and longer").unwrap();
+        assert!(read_text(&path, Kind::Rig).unwrap().starts_with("version 1"));
     }
 
     #[cfg(target_os = "linux")]

@@ -17,14 +17,15 @@ mod wrapping;
 
 pub use chain::{Joint, JointKind, SerialChain};
 pub use error::KinematicsError;
-pub use exports::{corrections_csv, kinematics_yaml, static_transform_line};
+pub use exports::{corrections_csv, static_transform_line};
 pub use from_axes::JointAxis;
 pub use jacobian::ChainJacobian;
 pub use link::{ElementaryMotion, Link, LinkForm, ParameterId, ParameterKind};
 pub use refinement::{InverseKinematics, JointLimits, RefinementOptions, Termination, refine_inverse_kinematics};
 pub use spherical_wrist::{Elbow, Shoulder, SphericalWristSolution, Wrist, spherical_wrist_solutions};
 pub use urdf::{
-    CollisionBody, CollisionModel, CollisionShape, bare_urdf, chain_from_urdf, line_diff, urdf_ends, write_urdf,
+    CollisionBody, CollisionModel, CollisionShape, bare_urdf, chain_from_urdf, kinematics_yaml,
+    kinematics_yaml_of_table, line_diff, urdf_ends, write_urdf,
 };
 pub use wrapping::nearby;
 

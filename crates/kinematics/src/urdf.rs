@@ -7,12 +7,14 @@
 mod bare;
 mod collision;
 mod document;
+mod ur;
 mod write;
 
 pub use bare::bare_urdf;
 pub use collision::{CollisionBody, CollisionModel, CollisionShape};
-pub(crate) use write::{UNCHANGED, roll_pitch_yaw, rounded};
+pub use ur::{kinematics_yaml, kinematics_yaml_of_table};
 pub use write::{line_diff, write_urdf};
+pub(crate) use write::{roll_pitch_yaw, rounded};
 
 use crate::{Isometry3, JointAxis, KinematicsError, SerialChain};
 use document::Document;

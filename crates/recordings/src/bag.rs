@@ -1,7 +1,7 @@
 //! ROS 1 bags, version 2.0 (wiki.ros.org/Bags/Format/2.0): records of a header with named fields and of data; chunks
 //! hold connections and messages. The index at the end is not needed, so that a bag without one is read as well.
 
-use crate::bytes::{Bytes, Compression, Decoded, FileBytes, Problem, Window};
+use crate::bytes::{Bytes, Compression, Decoded, FileBytes, Problem, Window, end_of};
 use crate::recording::{Place, TopicIds, Visitor};
 use crate::{RecordingError, WireFormat};
 use std::collections::HashMap;
@@ -9,6 +9,7 @@ use std::path::Path;
 
 const FIRST_LINE: &[u8] = b"#ROSBAG V2.0\n";
 const MESSAGE: u8 = 0x02;
+const BAG_HEADER: u8 = 0x03;
 const CHUNK: u8 = 0x05;
 const CONNECTION: u8 = 0x07;
 /// Bytes of a record's header at most: some fields, of which a topic's name is the longest.
@@ -21,6 +22,8 @@ pub(crate) struct Bag {
     file: FileBytes,
     connections: TopicIds,
     header: Vec<u8>,
+    /// Where the bag says that its index begins; 0 in one that was not closed.
+    index_at: Option<u64>,
 }
 
 impl Bag {
@@ -33,56 +36,87 @@ impl Bag {
             let problem = format!("the bag begins with {found:?}; version 2.0 is read (`rosbag migrate` converts)");
             return Err(RecordingError::Format { path: path.to_owned(), problem });
         }
-        Ok(Bag { file, connections: HashMap::new(), header: Vec::new() })
+        Ok(Bag { file, connections: HashMap::new(), header: Vec::new(), index_at: None })
     }
 
     pub fn scan(&mut self, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
         let mut offset = FIRST_LINE.len() as u64;
         while offset < self.file.length {
-            offset = self.record(offset, visitor).map_err(|problem| problem.at(&self.file.path, offset))?;
+            match self.record(offset, visitor) {
+                Ok(next) => offset = next,
+                Err(Problem::CutOff) => {
+                    visitor.cut(&self.file.path, offset, self.file.length, "it ends in the middle of a record");
+                    return Ok(());
+                }
+                Err(problem) => return Err(problem.at(&self.file.path, offset)),
+            }
+        }
+        if self.index_at.is_some_and(|at| at == 0 || at > self.file.length) {
+            visitor.cut(&self.file.path, offset, self.file.length, "it has no index");
         }
         Ok(())
     }
 
     pub fn read_record(&mut self, offset: u64, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
-        self.record(offset, visitor).map(drop).map_err(|problem| problem.at(&self.file.path, offset))
+        match self.record(offset, visitor) {
+            // What could be read of it was visited.
+            Ok(_) | Err(Problem::CutOff) => Ok(()),
+            Err(problem) => Err(problem.at(&self.file.path, offset)),
+        }
     }
 
     /// One record of the file; where the next one begins.
     fn record(&mut self, offset: u64, visitor: &mut Visitor<'_>) -> Result<u64, Problem> {
-        let Bag { file, connections, header } = self;
+        let Bag { file, connections, header, index_at } = self;
         file.seek(offset)?;
         let place = Place { file: visitor.file, offset, ordinal: 0 };
-        let head = record_header(file, header)?;
+        let head = record_header_in_file(file, header)?;
+        if head == BAG_HEADER {
+            *index_at = u64_field(header, "index_pos").ok();
+        }
         let length = u64::from((file as &mut dyn Bytes).u32()?);
-        let mut body = Window::next(file, length)?;
+        let mut body = Window::next(file, length);
+        let is_cut = body.is_cut;
         let end = offset + 8 + header.len() as u64 + length;
-        if head != CHUNK {
-            plain_record(head, header, &mut body, length, place, connections, visitor)?;
-            return Ok(end);
-        }
-        let size = u64::from(u32_field(header, "size")?);
-        let compression = field(header, "compression")?;
-        let compression = match compression {
-            b"none" => None,
-            b"lz4" => Some(Compression::Lz4),
-            b"bz2" => Some(Compression::Bz2),
-            other => {
-                let name = String::from_utf8_lossy(other).into_owned();
-                return Err(format!("a chunk is compressed with {name:?}; none, lz4 and bz2 are read").into());
-            }
+        let read = match head {
+            CHUNK => chunk(body, header, length, place, connections, visitor),
+            // A message whose end is missing is none.
+            _ if is_cut => Err(Problem::CutOff),
+            _ => plain_record(head, header, &mut body, length, place, connections, visitor),
         };
-        match compression {
-            None if size != length => return Err(format!("a chunk of {length} bytes says it has {size}").into()),
-            None => records(&mut body, size, place, connections, visitor)?,
-            Some(compression) => {
-                visitor.budget.earn(length);
-                visitor.budget.spend(size)?;
-                let mut bytes = Decoded::new(body, compression, size)?;
-                records(&mut bytes, size, place, connections, visitor)?;
-            }
-        }
+        end_of(read, is_cut)?;
         Ok(end)
+    }
+}
+
+fn chunk(
+    mut body: Window<'_>,
+    header: &[u8],
+    length: u64,
+    place: Place,
+    connections: &mut TopicIds,
+    visitor: &mut Visitor<'_>,
+) -> Result<(), Problem> {
+    let size = u64::from(u32_field(header, "size")?);
+    let compression = field(header, "compression")?;
+    let compression = match compression {
+        b"none" => None,
+        b"lz4" => Some(Compression::Lz4),
+        b"bz2" => Some(Compression::Bz2),
+        other => {
+            let name = String::from_utf8_lossy(other).into_owned();
+            return Err(format!("a chunk is compressed with {name:?}; none, lz4 and bz2 are read").into());
+        }
+    };
+    match compression {
+        None if size != length => return Err(format!("a chunk of {length} bytes says it has {size}").into()),
+        None => records(&mut body, size, place, connections, visitor),
+        Some(compression) => {
+            visitor.budget.earn(length);
+            visitor.budget.spend(size)?;
+            let mut bytes = Decoded::new(body, compression, size)?;
+            records(&mut bytes, size, place, connections, visitor)
+        }
     }
 }
 
@@ -148,6 +182,21 @@ fn plain_record(
     }
 }
 
+/// The same where the file may have been cut off.
+fn record_header_in_file(file: &mut FileBytes, header: &mut Vec<u8>) -> Result<u8, Problem> {
+    const LENGTH: u64 = 4;
+    let begin = file.position;
+    if file.left() < 2 * LENGTH {
+        return Err(Problem::CutOff);
+    }
+    let length = u64::from((file as &mut dyn Bytes).u32()?);
+    if length <= MAX_HEADER && file.left() < length + LENGTH {
+        return Err(Problem::CutOff);
+    }
+    file.seek(begin)?;
+    record_header(file, header)
+}
+
 /// Reads a record's header; its `op`.
 fn record_header(bytes: &mut dyn Bytes, header: &mut Vec<u8>) -> Result<u8, Problem> {
     let length = u64::from(bytes.u32()?);
@@ -178,6 +227,13 @@ fn u32_field(header: &[u8], name: &str) -> Result<u32, Problem> {
     match field(header, name)? {
         [a, b, c, d] => Ok(u32::from_le_bytes([*a, *b, *c, *d])),
         other => Err(format!("the field {name:?} has {} bytes instead of 4", other.len()).into()),
+    }
+}
+
+fn u64_field(header: &[u8], name: &str) -> Result<u64, Problem> {
+    match <[u8; 8]>::try_from(field(header, name)?) {
+        Ok(bytes) => Ok(u64::from_le_bytes(bytes)),
+        Err(_) => Err(format!("the field {name:?} has not 8 bytes").into()),
     }
 }
 

@@ -12,6 +12,8 @@ pub(crate) enum Problem {
     Io(std::io::Error),
     Damaged(String),
     Known(RecordingError),
+    /// The file ends before the record does: whoever wrote it did not come to close it.
+    CutOff,
 }
 
 impl From<std::io::Error> for Problem {
@@ -44,7 +46,20 @@ impl Problem {
             Problem::Io(source) => RecordingError::Io { path: path.to_owned(), source },
             Problem::Damaged(problem) => RecordingError::Damaged { path: path.to_owned(), offset, problem },
             Problem::Known(error) => error,
+            Problem::CutOff => {
+                let problem = "the data end in the middle of a record".to_owned();
+                RecordingError::Damaged { path: path.to_owned(), offset, problem }
+            }
         }
+    }
+}
+
+/// How the reading of a record ended: in one that the file cuts off, damage is its missing end.
+pub(crate) fn end_of(read: Result<(), Problem>, is_cut: bool) -> Result<(), Problem> {
+    match read {
+        Err(Problem::Known(error)) => Err(Problem::Known(error)),
+        Ok(()) | Err(Problem::Damaged(_)) if is_cut => Err(Problem::CutOff),
+        other => other,
     }
 }
 
@@ -177,14 +192,16 @@ impl Bytes for FileBytes {
 pub(crate) struct Window<'a> {
     file: &'a mut FileBytes,
     end: u64,
+    /// Whether the file ends before the window does.
+    pub is_cut: bool,
 }
 
 impl<'a> Window<'a> {
-    /// The next `count` bytes.
-    pub fn next(file: &'a mut FileBytes, count: u64) -> Result<Self, Problem> {
-        check_left(file, count)?;
-        let end = file.position + count;
-        Ok(Window { file, end })
+    /// The next `count` bytes, or those that are left of them in a file that was cut off.
+    pub fn next(file: &'a mut FileBytes, count: u64) -> Self {
+        let left = file.left();
+        let end = file.position + count.min(left);
+        Window { file, end, is_cut: count > left }
     }
 }
 
@@ -222,7 +239,7 @@ pub(crate) enum Compression {
 }
 
 /// Largest window of a zstd stream, as a power of two: 64 MiB.
-const ZSTD_WINDOW_LOG: u32 = 26;
+pub(crate) const ZSTD_WINDOW_LOG: u32 = 26;
 
 /// Bytes out of a decompressor, with their checksum.
 pub(crate) struct Decoded<'a> {

@@ -14,6 +14,8 @@ pub(crate) struct Database {
     path: PathBuf,
     connection: Connection,
     topics: TopicIds,
+    /// Bytes of the file and bytes that its header announces, where these are more.
+    cut: Option<(u64, u64)>,
 }
 
 fn problem(error: rusqlite::Error) -> Problem {
@@ -22,15 +24,19 @@ fn problem(error: rusqlite::Error) -> Problem {
 
 impl Database {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        connect(path)
-            .map(|connection| Database { path: path.to_owned(), connection, topics: HashMap::new() })
-            .map_err(|problem| problem.at(path, 0))
+        (|| {
+            let cut = missing_end(path)?;
+            let connection = connect(path, cut.is_some())?;
+            Ok(Database { path: path.to_owned(), connection, topics: HashMap::new(), cut })
+        })()
+        .map_err(|problem: Problem| problem.at(path, 0))
     }
 
     pub fn scan(&mut self, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
-        let Database { path, connection, topics } = self;
+        let Database { path, connection, topics, cut } = self;
+        let is_cut = cut.is_some();
         let mut row_id = 0;
-        (|| {
+        let scanned: Result<(), Problem> = (|| {
             *topics = read_topics(connection, visitor)?;
             // By number and not by time: this needs no sorting, and a time that jumped back is reported as such.
             let mut statement =
@@ -46,28 +52,60 @@ impl Database {
                 last = Some(id);
                 row_id = id as u64;
                 let (topic, time) = (row.get(1).map_err(problem)?, row.get(2).map_err(problem)?);
-                message(connection, topics, id, topic, time, visitor)?;
+                match message(connection, topics, id, topic, time, visitor) {
+                    // Its pages are not there; those of later messages may be.
+                    Err(Problem::Damaged(_)) if is_cut => {}
+                    read => read?,
+                }
             }
             Ok(())
-        })()
-        .map_err(|problem: Problem| problem.at(path, row_id))
+        })();
+        match (scanned, &*cut) {
+            (Ok(()) | Err(Problem::Damaged(_)), Some((length, announced))) => {
+                visitor.cut(path, *length, *announced, "its end is missing");
+                Ok(())
+            }
+            (scanned, _) => scanned.map_err(|problem| problem.at(path, row_id)),
+        }
     }
 
     pub fn read_row(&mut self, id: u64, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
-        let Database { path, connection, topics } = self;
-        (|| {
+        let Database { path, connection, topics, cut } = self;
+        let read = (|| {
             let row_id = i64::try_from(id).map_err(|_| Problem::Damaged(format!("there is no message {id}")))?;
             let mut statement =
                 connection.prepare("SELECT topic_id, timestamp FROM messages WHERE id = ?1").map_err(problem)?;
             let (topic, time) = statement.query_row([row_id], |row| Ok((row.get(0)?, row.get(1)?))).map_err(problem)?;
             message(connection, topics, row_id, topic, time, visitor)
-        })()
-        .map_err(|problem: Problem| problem.at(path, id))
+        })();
+        match read {
+            Err(Problem::Damaged(_)) if cut.is_some() => Ok(()),
+            read => read.map_err(|problem: Problem| problem.at(path, id)),
+        }
     }
 }
 
 /// Where the header says how the database is written (sqlite.org/fileformat): 2 is a write-ahead log.
 const WRITE_VERSION_AT: u64 = 18;
+
+/// The length of a file and what its header announces, where pages are missing at its end (sqlite.org/fileformat).
+fn missing_end(path: &Path) -> std::io::Result<Option<(u64, u64)>> {
+    let mut file = skclam_files::open(path, skclam_files::Kind::Recording)?;
+    let length = file.metadata()?.len();
+    let mut header = [0; 100];
+    if file.read_exact(&mut header).is_err() {
+        return Ok(None);
+    }
+    let number =
+        |at: usize| u64::from(u32::from_be_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]));
+    let page = match u64::from(u16::from_be_bytes([header[16], header[17]])) {
+        1 => 65_536,
+        page => page,
+    };
+    // The count of pages holds if it was written with the last change.
+    let announced = if number(24) == number(92) { page * number(28) } else { 0 };
+    Ok((announced > length).then_some((length, announced)))
+}
 
 /// The file of the write-ahead log of a database that has one; its messages may lie there alone.
 fn write_ahead_log(path: &Path) -> std::io::Result<Option<PathBuf>> {
@@ -93,7 +131,7 @@ fn unchanging(path: &Path) -> String {
     name + "?immutable=1"
 }
 
-fn connect(path: &Path) -> Result<Connection, Problem> {
+fn connect(path: &Path, is_cut: bool) -> Result<Connection, Problem> {
     // Asked first: SQLite makes the log anew, and empty, where it is missing.
     let is_empty = |log: &PathBuf| log.metadata().map_or(true, |metadata| metadata.is_file() && metadata.len() == 0);
     let missing_log = write_ahead_log(path)?.filter(is_empty);
@@ -112,6 +150,10 @@ fn connect(path: &Path) -> Result<Connection, Problem> {
         Some(_) => Connection::open_with_flags(unchanging(path), flags | OpenFlags::SQLITE_OPEN_URI),
     };
     let connection = connection.map_err(problem)?;
+    if is_cut {
+        // SQLite refuses a file whose end is missing, but with this; nothing is written all the same.
+        connection.pragma_update(None, "writable_schema", "ON").map_err(problem)?;
+    }
     let most = i32::try_from(MAX_MESSAGE_BYTES).unwrap_or(i32::MAX);
     connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, most).map_err(problem)?;
     // A recording is data: nothing in its schema is run, and damaged pages are noticed when they are read.

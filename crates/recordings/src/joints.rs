@@ -35,17 +35,52 @@ impl JointNames {
                 return Ok(JointNames { recorded: found, remark });
             }
         }
-        let numbered = |a: &str, b: &str| number(a).is_some() && number(a) == number(b);
         if let Some(found) = unique(arm, recorded, &numbered) {
             let remark = Some(pairs(arm, &found));
             return Ok(JointNames { recorded: found, remark });
         }
-        let problem = format!(
-            "the arm has {}, the recording {}; name the recording's joints from base to flange (--joint-names)",
-            arm.join(", "),
-            recorded.join(", ")
-        );
+        let (arms, names) = (arm.join(", "), listed(recorded));
+        let problem = match recorded.len() < arm.len() {
+            true => format!(
+                "the arm has {} joints ({arms}), the recording has {} ({names}): the others are not in it. \
+                 Record all, or give all of them as a CSV with --joints",
+                arm.len(),
+                recorded.len()
+            ),
+            false => format!(
+                "the arm has {arms}, the recording {names}; name the recording's joints from base to flange (--joint-names)"
+            ),
+        };
         Err(RecordingError::Joints { problem })
+    }
+
+    /// The joints that a person named, base to flange. Names for positions of no interest, "-", are left out.
+    ///
+    /// # Errors
+    /// [`RecordingError::Joints`]: another number of names than the arm has joints, a name twice, a name that the
+    /// recording does not have.
+    pub fn given(names: &[String], joint_count: usize, recorded: &[&str]) -> Result<Self, RecordingError> {
+        let wrong = |problem: String| Err(RecordingError::Joints { problem });
+        let names: Vec<String> = names.iter().filter(|name| *name != "-").cloned().collect();
+        if names.len() != joint_count {
+            return wrong(format!("--joint-names has {} names, but the arm has {joint_count} joints", names.len()));
+        }
+        if let Some(twice) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
+            return wrong(format!("--joint-names has {:?} twice", twice.1));
+        }
+        if let Some(name) = names.iter().find(|name| !recorded.contains(&name.as_str())) {
+            let recorded = listed(recorded);
+            return wrong(format!(
+                "--joint-names has {name:?}, which is not among the joints of the recording: {recorded}"
+            ));
+        }
+        Ok(JointNames { recorded: names, remark: None })
+    }
+
+    /// Whether a recorded joint may be one of the arm's by any of the rules of [`resolve`](Self::resolve).
+    pub fn may_match(arm: &[String], name: &str) -> bool {
+        let lower = name.to_lowercase();
+        arm.iter().any(|joint| lower.ends_with(&joint.to_lowercase()) || numbered(joint, name))
     }
 
     /// The arm's joint values of a message; `None` where it lacks one (a gripper's message).
@@ -53,6 +88,22 @@ impl JointNames {
         let value = |wanted: &String| positions.get(names.iter().position(|name| name == wanted)?).copied();
         self.recorded.iter().map(value).collect()
     }
+}
+
+/// Names for a message; a humanoid has many.
+fn listed(names: &[&str]) -> String {
+    const SHOWN: usize = 40;
+    let more = names.len().saturating_sub(SHOWN);
+    let shown = names[..names.len() - more].join(", ");
+    match (names.is_empty(), more) {
+        (true, _) => "none".to_owned(),
+        (false, 0) => shown,
+        (false, more) => format!("{shown} and {more} more"),
+    }
+}
+
+fn numbered(a: &str, b: &str) -> bool {
+    number(a).is_some() && number(a) == number(b)
 }
 
 fn pairs(arm: &[String], recorded: &[String]) -> String {
@@ -157,8 +208,23 @@ impl JointTrack {
 
     /// The largest change of a joint between two samples, radians or metres; after wrapping.
     pub fn largest_change(&self, a: usize, b: usize) -> f64 {
-        let change = |joint: usize| self.difference(joint, self.at(a)[joint], self.at(b)[joint]).abs();
-        (0..self.width).map(change).fold(0.0, f64::max)
+        self.largest_difference(self.at(a), self.at(b))
+    }
+
+    /// The largest distance between two sets of values, as [`largest_change`](Self::largest_change).
+    pub(crate) fn largest_difference(&self, from: &[f64], to: &[f64]) -> f64 {
+        (0..self.width).map(|joint| self.difference(joint, from[joint], to[joint]).abs()).fold(0.0, f64::max)
+    }
+
+    /// The mean of samples from `begin` to before `end`, at least one.
+    pub(crate) fn mean_of(&self, begin: usize, end: usize) -> Vec<f64> {
+        let first = self.at(begin);
+        // Deviations from the first are small, and their mean loses no digits.
+        let mean = |joint: usize| {
+            let sum: f64 = (begin..end).map(|index| self.difference(joint, first[joint], self.at(index)[joint])).sum();
+            first[joint] + sum / (end - begin) as f64
+        };
+        (0..self.width).map(mean).collect()
     }
 
     fn difference(&self, joint: usize, from: f64, to: f64) -> f64 {
@@ -183,13 +249,7 @@ impl JointTrack {
         if begin == end {
             return None;
         }
-        let first = self.at(begin);
-        // Deviations from the first are small, and their mean loses no digits.
-        let mean = |joint: usize| {
-            let sum: f64 = (begin..end).map(|index| self.difference(joint, first[joint], self.at(index)[joint])).sum();
-            first[joint] + sum / (end - begin) as f64
-        };
-        Some((0..self.width).map(mean).collect())
+        Some(self.mean_of(begin, end))
     }
 }
 
@@ -229,9 +289,25 @@ mod tests {
         assert!(numbered.remark.unwrap().contains("J1 = joint_1"));
         let prefixed = JointNames::resolve(&names(&["elbow_joint"]), &["left_elbow_joint"]).unwrap();
         assert_eq!(prefixed.recorded, names(&["left_elbow_joint"]));
-        for recorded in [&["x", "y"][..], &["left_a", "right_a", "left_b", "right_b"], &["a"]] {
+        for recorded in [&["x", "y"][..], &["left_a", "right_a", "left_b", "right_b"]] {
             let message = JointNames::resolve(&names(&["a", "b"]), recorded).unwrap_err().to_string();
             assert!(message.contains("--joint-names"), "{message}");
+        }
+        // Names would not help.
+        let message = JointNames::resolve(&names(&["a", "b"]), &["a"]).unwrap_err().to_string();
+        assert!(message.contains("--joints") && !message.contains("--joint-names"), "{message}");
+    }
+
+    #[test]
+    fn given_names_are_taken_or_refused_by_name() {
+        let recorded = ["p", "q", "r"];
+        let given = |list: &[&str]| JointNames::given(&names(list), 2, &recorded);
+        assert_eq!(given(&["r", "-", "p"]).unwrap().recorded, names(&["r", "p"]));
+        for (list, expected) in
+            [(&["r"][..], "1 names"), (&["r", "r"], "\"r\" twice"), (&["r", "s"], "\"s\", which is not")]
+        {
+            let message = given(list).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
         }
     }
 

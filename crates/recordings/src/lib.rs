@@ -16,9 +16,13 @@ mod bytes;
 mod camera;
 mod database;
 mod error;
+mod joint_merge;
+mod joint_series;
 mod joints;
+mod jumps;
 mod mcap;
 mod messages;
+mod opening;
 mod pairing;
 mod pixels;
 mod recording;
@@ -26,10 +30,13 @@ mod sharpness;
 mod stationary;
 mod survey;
 mod tum;
+mod unpacked;
 mod wire;
 
 pub use camera::pinhole_from_info;
 pub use error::RecordingError;
+pub use joint_merge::{FoundJumps, Merged};
+pub use joint_series::{Clock, JointCollector, JointPlace, JointSeries, TopicJoints};
 pub use joints::{JointNames, JointTrack, interpolated};
 pub use messages::{
     CameraInfo, CompressedImage, Float32, Header, Image, ImageHead, JointState, MessageKind, Stamp, TransformMessage,

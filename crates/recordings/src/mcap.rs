@@ -2,7 +2,7 @@
 //!
 //! Only schemas, channels, messages and chunks are read; the indices at the end are not needed for one pass.
 
-use crate::bytes::{Bytes, Checked, Compression, Decoded, FileBytes, Problem, Window};
+use crate::bytes::{Bytes, Checked, Compression, Decoded, FileBytes, Problem, Window, end_of};
 use crate::recording::{Place, TopicIds, Visitor};
 use crate::{RecordingError, Stamp, WireFormat};
 use std::collections::HashMap;
@@ -35,33 +35,49 @@ impl Mcap {
             match self.record(offset, visitor) {
                 Ok(Some(next)) => offset = next,
                 Ok(None) => return Ok(()),
+                Err(Problem::CutOff) => {
+                    visitor.cut(&self.file.path, offset, self.file.length, "it ends in the middle of a record");
+                    return Ok(());
+                }
                 Err(problem) => return Err(problem.at(&self.file.path, offset)),
             }
         }
-        let problem = "the file ends without a footer; the recording was not closed (`mcap recover` repairs it)";
-        Err(Problem::Damaged(problem.to_owned()).at(&self.file.path, offset))
+        visitor.cut(&self.file.path, offset, self.file.length, "it has no footer");
+        Ok(())
     }
 
     pub fn read_record(&mut self, offset: u64, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
-        self.record(offset, visitor).map(drop).map_err(|problem| problem.at(&self.file.path, offset))
+        match self.record(offset, visitor) {
+            // What could be read of it was visited.
+            Ok(_) | Err(Problem::CutOff) => Ok(()),
+            Err(problem) => Err(problem.at(&self.file.path, offset)),
+        }
     }
 
     /// One record of the file; where the next one begins.
     fn record(&mut self, offset: u64, visitor: &mut Visitor<'_>) -> Result<Option<u64>, Problem> {
         let Mcap { file, schemas, channels } = self;
         file.seek(offset)?;
+        const HEAD: u64 = 9;
+        if file.left() < HEAD {
+            return Err(Problem::CutOff);
+        }
         let head: &mut dyn Bytes = file;
         let (opcode, length) = (head.u8()?, head.u64()?);
         if matches!(opcode, FOOTER | DATA_END) {
             return Ok(None);
         }
-        let mut body = Window::next(file, length)?;
+        let mut body = Window::next(file, length);
+        let is_cut = body.is_cut;
         let place = Place { file: visitor.file, offset, ordinal: 0 };
-        match opcode {
-            CHUNK => chunk(body, place, schemas, channels, visitor)?,
-            _ => plain_record(opcode, &mut body, length, place, schemas, channels, visitor)?,
-        }
-        Ok(Some(offset + 9 + length))
+        let read = match opcode {
+            CHUNK => chunk(body, place, schemas, channels, visitor),
+            // A message whose end is missing is none.
+            _ if is_cut => Err(Problem::CutOff),
+            _ => plain_record(opcode, &mut body, length, place, schemas, channels, visitor),
+        };
+        end_of(read, is_cut)?;
+        Ok(Some(offset + HEAD + length))
     }
 }
 
@@ -77,12 +93,13 @@ fn chunk(
     let (length, announced) = (head.u64()?, head.u32()?);
     let compression = head.text("the name of a compression")?;
     let stored = head.u64()?;
-    if stored > body.left() || (compression.is_empty() && stored != length) {
+    let is_cut = body.is_cut;
+    if (stored > body.left() && !is_cut) || (compression.is_empty() && stored != length) {
         return Err(format!("a chunk announces {stored} bytes for {length}, and {} are left", body.left()).into());
     }
     let mut found = None;
     match compression.as_str() {
-        "" if visitor.verify && announced != 0 => {
+        "" if visitor.verify && announced != 0 && !is_cut => {
             let mut bytes = Checked::new(body);
             records(&mut bytes, length, place, schemas, channels, visitor)?;
             found = Some(bytes.checksum());

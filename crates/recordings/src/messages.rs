@@ -142,9 +142,9 @@ pub struct CameraInfo {
 pub struct JointState<'a> {
     /// Stamp and frame.
     pub header: Header<'a>,
-    /// Names, one a joint.
+    /// Names, one a joint, or none.
     pub names: Vec<&'a str>,
-    /// Radians or metres, one a name.
+    /// Radians or metres, one a name; NaN where a joint has no sensor.
     pub positions: Vec<f64>,
 }
 
@@ -248,26 +248,24 @@ impl CameraInfo {
 impl<'a> JointState<'a> {
     /// Parses a whole message.
     ///
+    /// Positions may be NaN: a wheel without a sensor says so, and matters to nobody. Names may be missing altogether.
+    ///
     /// # Errors
-    /// Also where names and positions differ in number, or a position is not finite.
+    /// Also where names and positions differ in number.
     pub fn parse(topic: &str, format: WireFormat, bytes: &'a [u8]) -> Result<Self, RecordingError> {
         parsed(topic, format, bytes, |wire| {
             let header = header(wire)?;
             let names = wire.strings()?;
             let positions = wire.f64s()?;
-            if names.len() != positions.len() && !positions.is_empty() {
+            if names.len() != positions.len() && !positions.is_empty() && !names.is_empty() {
                 return Err(format!("{} joint names, but {} positions", names.len(), positions.len()));
             }
-            match positions.iter().position(|value| !value.is_finite()) {
-                Some(index) => Err(format!("the position of joint {} is {}", names[index], positions[index])),
-                None => Ok(JointState { header, names, positions }),
-            }
+            Ok(JointState { header, names, positions })
         })
     }
 }
 
-fn transform(wire: &mut Wire<'_>) -> Result<Isometry3<f64>, WireProblem> {
-    let [x, y, z, qx, qy, qz, qw] = wire.f64_array::<7>()?;
+fn rigid([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Result<Isometry3<f64>, WireProblem> {
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     let norm = quaternion.norm();
     if !(x.is_finite() && y.is_finite() && z.is_finite() && (norm - 1.0).abs() < 1e-2) {
@@ -276,7 +274,7 @@ fn transform(wire: &mut Wire<'_>) -> Result<Isometry3<f64>, WireProblem> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
 }
 
-/// Parses a `TFMessage`.
+/// Parses a `TFMessage`. A transform that is no rigid one is left out: it says nothing, and the others are right.
 pub fn parse_tf_message(
     topic: &str,
     format: WireFormat,
@@ -285,20 +283,22 @@ pub fn parse_tf_message(
     parsed(topic, format, bytes, |wire| {
         // Header, child frame and seven numbers.
         let count = wire.count(72)?;
-        (0..count)
-            .map(|_| {
-                let parent = header(wire)?.frame_id.to_owned();
-                let child = wire.string()?.to_owned();
-                Ok(TransformStamped { parent, child, parent_from_child: transform(wire)? })
-            })
-            .collect()
+        let mut transforms = Vec::new();
+        for _ in 0..count {
+            let parent = header(wire)?.frame_id.to_owned();
+            let child = wire.string()?.to_owned();
+            if let Ok(parent_from_child) = rigid(wire.f64_array::<7>()?) {
+                transforms.push(TransformStamped { parent, child, parent_from_child });
+            }
+        }
+        Ok(transforms)
     })
 }
 
 impl TransformMessage {
     /// Parses a whole message.
     pub fn parse(topic: &str, format: WireFormat, bytes: &[u8]) -> Result<Self, RecordingError> {
-        parsed(topic, format, bytes, |wire| transform(wire).map(TransformMessage))
+        parsed(topic, format, bytes, |wire| rigid(wire.f64_array::<7>()?).map(TransformMessage))
     }
 }
 
@@ -340,7 +340,9 @@ mod tests {
             JointState::parse("/j", WireFormat::Ros1, &joint_state(names, positions)).unwrap_err().to_string()
         };
         assert_eq!(message(&["a"], &[1.0, 2.0]), "topic /j: 1 joint names, but 2 positions");
-        assert_eq!(message(&["a"], &[f64::NAN]), "topic /j: the position of joint a is NaN");
+        let nameless = joint_state(&[], &[1.0, f64::NAN]);
+        let nameless = JointState::parse("/j", WireFormat::Ros1, &nameless).unwrap();
+        assert!(nameless.names.is_empty() && nameless.positions[1].is_nan());
     }
 
     #[test]

@@ -5,11 +5,12 @@ use crate::budget::Budget;
 use crate::bytes::{Bytes, Problem, decompressed_message};
 use crate::database::Database;
 use crate::mcap::Mcap;
+use crate::opening::{open_file, open_folder};
 use crate::tum::TumFolder;
+use crate::unpacked::Unpacked;
 use crate::{Header, MAX_MESSAGE_BYTES, MessageKind, RecordingError, Stamp, WireFormat};
 use serde::Serialize;
 use std::collections::HashMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// The kinds of recordings.
@@ -92,12 +93,15 @@ pub struct Recording {
     path: PathBuf,
     format: RecordingFormat,
     files: Vec<RecordingFile>,
+    /// Vanish with the recording, after its files are closed.
+    _unpacked: Vec<Unpacked>,
     topics: Vec<Topic>,
     buffer: Vec<u8>,
+    cuts: Vec<String>,
 }
 
 #[derive(Debug)]
-enum RecordingFile {
+pub(crate) enum RecordingFile {
     Bag(Bag),
     Mcap(Mcap),
     Database(Database),
@@ -115,6 +119,8 @@ pub(crate) struct Visitor<'a> {
     pub buffer: &'a mut Vec<u8>,
     /// What may still be unpacked in this pass.
     pub budget: &'a mut Budget,
+    /// Files that end early, for a person.
+    pub cuts: &'a mut Vec<String>,
 }
 
 /// Topics of a file by the number that the file gives them.
@@ -122,12 +128,18 @@ pub(crate) type TopicIds = HashMap<u64, usize>;
 
 /// The most topics of a recording; they are looked up one by one.
 const MAX_TOPICS: usize = 1 << 13;
-/// The most files of a recording.
-const MAX_FILES: usize = 1 << 16;
 /// How a zstd frame begins. No CDR message begins so.
-const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 impl Visitor<'_> {
+    /// A file ends before it should: what stands before `offset` was read.
+    pub fn cut(&mut self, path: &Path, offset: u64, length: u64, what: &str) {
+        self.cuts.push(format!(
+            "{}: {what}: the recording was not closed, or copied in part; {offset} of {length} bytes were read whole, and what stands in them is used",
+            path.display()
+        ));
+    }
+
     /// The position of a topic, which is new or known.
     pub fn topic(&mut self, name: String, type_name: String, wire: Option<WireFormat>) -> Result<usize, Problem> {
         if let Some(known) = self.topics.iter().find(|topic| topic.name == name && topic.type_name == type_name) {
@@ -195,7 +207,8 @@ impl Visitor<'_> {
 }
 
 impl Recording {
-    /// Opens a file (`.bag`, `.mcap`, `.db3`, recognised by their content), a folder of rosbag2 or a TUM folder.
+    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder. Files that are
+    /// compressed as a whole with zstd, as rosbag2's mode FILE does, are unpacked into the folder for temporary files.
     ///
     /// # Errors
     /// [`RecordingError::Format`] for anything else, with what was found.
@@ -203,8 +216,16 @@ impl Recording {
         let path = path.as_ref();
         let metadata =
             std::fs::metadata(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
-        let (format, files) = if metadata.is_dir() { open_folder(path)? } else { open_file(path)? };
-        Ok(Recording { path: path.to_owned(), format, files, topics: Vec::new(), buffer: Vec::new() })
+        let (format, files, unpacked) = if metadata.is_dir() { open_folder(path)? } else { open_file(path)? };
+        Ok(Recording {
+            path: path.to_owned(),
+            format,
+            files,
+            _unpacked: unpacked,
+            topics: Vec::new(),
+            buffer: Vec::new(),
+            cuts: Vec::new(),
+        })
     }
 
     /// What was opened.
@@ -222,6 +243,20 @@ impl Recording {
         &self.topics
     }
 
+    /// The file that a message is, in a folder of image files.
+    pub fn file_of(&self, place: Place) -> Option<&str> {
+        match self.files.get(place.file as usize)? {
+            RecordingFile::Tum(folder) => folder.file_of(place.offset),
+            _ => None,
+        }
+    }
+
+    /// Files that end early, as those of a recorder that crashed do: found by the last [`scan`](Self::scan), which read
+    /// them up to that point.
+    pub fn cuts(&self) -> &[String] {
+        &self.cuts
+    }
+
     /// Goes through the recording once, in the order of the file. Each message is offered to `want`, and visited as far
     /// as it is wanted; an error of `visit` ends the scan.
     ///
@@ -234,6 +269,7 @@ impl Recording {
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
         let mut budget = Budget::default();
+        self.cuts.clear();
         for (index, file) in self.files.iter_mut().enumerate() {
             let mut visitor = Visitor {
                 topics: &mut self.topics,
@@ -243,6 +279,7 @@ impl Recording {
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
                 budget: &mut budget,
+                cuts: &mut self.cuts,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.scan(&mut visitor)?,
@@ -255,13 +292,14 @@ impl Recording {
     }
 
     /// Visits whole messages at places that a scan has given, in the order of the file. Only the records that hold
-    /// them are read.
+    /// them are read. What a file that was cut off lacks is not visited.
     pub fn read(
         &mut self,
         places: &[Place],
         visit: &mut dyn FnMut(&Topic, &Message<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
         let mut budget = Budget::default();
+        let mut no_cuts = Vec::new();
         let mut places = places.to_vec();
         places.sort_unstable();
         places.dedup();
@@ -280,6 +318,7 @@ impl Recording {
                 visit: &mut *visit,
                 buffer: &mut self.buffer,
                 budget: &mut budget,
+                cuts: &mut no_cuts,
             };
             match file {
                 RecordingFile::Bag(bag) => bag.read_record(offset, &mut visitor)?,
@@ -290,70 +329,4 @@ impl Recording {
         }
         Ok(())
     }
-}
-
-type Opened = (RecordingFormat, Vec<RecordingFile>);
-
-fn open_file(path: &Path) -> Result<Opened, RecordingError> {
-    let mut beginning = Vec::new();
-    skclam_files::open(path, skclam_files::Kind::Recording)
-        .and_then(|file| file.take(16).read_to_end(&mut beginning))
-        .map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
-    if beginning.starts_with(b"#ROSBAG V") {
-        Ok((RecordingFormat::Bag, vec![RecordingFile::Bag(Bag::open(path)?)]))
-    } else if beginning.starts_with(&crate::mcap::MAGIC) {
-        Ok((RecordingFormat::Mcap, vec![RecordingFile::Mcap(Mcap::open(path)?)]))
-    } else if beginning.starts_with(b"SQLite format 3\0") {
-        Ok((RecordingFormat::Database, vec![RecordingFile::Database(Database::open(path)?)]))
-    } else {
-        let hint = match beginning.starts_with(&ZSTD_MAGIC) {
-            true => "it is compressed as a whole; unpack it first with `zstd -d`",
-            false => "read are ROS 1 .bag (version 2.0), .mcap, .db3, and folders of rosbag2 and of TUM RGB-D",
-        };
-        Err(RecordingError::Format {
-            path: path.to_owned(),
-            problem: format!("this is no recording that is read: {hint}"),
-        })
-    }
-}
-
-fn open_folder(path: &Path) -> Result<Opened, RecordingError> {
-    if path.join("rgb.txt").is_file() {
-        return Ok((RecordingFormat::Tum, vec![RecordingFile::Tum(TumFolder::open(path)?)]));
-    }
-    let io = |source| RecordingError::Io { path: path.to_owned(), source };
-    let mut parts = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(io)? {
-        let file = entry.map_err(io)?.path();
-        if file.extension().is_some_and(|ending| ending == "mcap" || ending == "db3") {
-            parts.push(file);
-        }
-        if parts.len() > MAX_FILES {
-            break;
-        }
-    }
-    // recording_2.mcap comes before recording_10.mcap.
-    parts.sort_by_key(|part| (part_number(part), part.clone()));
-    let mut opened: Option<Opened> = None;
-    for part in parts {
-        let (format, mut files) = open_file(&part)?;
-        match &mut opened {
-            None => opened = Some((format, files)),
-            Some((first, all)) if *first == format => all.append(&mut files),
-            Some(_) => {
-                let problem = "holds .mcap and .db3 files; name the one that is meant".to_owned();
-                return Err(RecordingError::Format { path: path.to_owned(), problem });
-            }
-        }
-    }
-    opened.ok_or_else(|| {
-        let problem = "the folder holds no .mcap, no .db3 and no rgb.txt; name a recording or its folder".to_owned();
-        RecordingError::Format { path: path.to_owned(), problem }
-    })
-}
-
-/// The number after the last underscore, which rosbag2 gives to the files of a split recording.
-fn part_number(path: &Path) -> u64 {
-    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    stem.rsplit('_').next().and_then(|number| number.parse().ok()).unwrap_or(0)
 }

@@ -16,6 +16,8 @@ pub struct Survey {
     pub duration_s: f64,
     /// One entry a topic, by name.
     pub topics: Vec<TopicSurvey>,
+    /// Files that end early, one line each.
+    pub cuts: Vec<String>,
 }
 
 /// What a topic holds.
@@ -45,6 +47,10 @@ pub struct TopicSurvey {
     pub stamp_minus_log_s: f64,
     /// Size and encoding of the first image, names of the joints, ...
     pub detail: String,
+    /// Messages that cannot be read.
+    pub bad_messages: u64,
+    /// What is wrong with the first of them.
+    pub first_problem: Option<String>,
 }
 
 /// A stamp that does not go on as the recorder's clock does.
@@ -75,7 +81,7 @@ struct Running {
 /// Reads a recording once and reports what is in it. Checksums are verified.
 ///
 /// # Errors
-/// As [`Recording::scan`]; a message of a known type that cannot be parsed.
+/// As [`Recording::scan`]. A message that cannot be parsed is counted.
 pub fn survey(recording: &mut Recording) -> Result<Survey, RecordingError> {
     let mut topics: Vec<Option<Running>> = Vec::new();
     let mut range: Option<(Stamp, Stamp)> = None;
@@ -85,20 +91,31 @@ pub fn survey(recording: &mut Recording) -> Result<Survey, RecordingError> {
         _ => Wanted::Beginning(0),
     };
     recording.scan(true, &mut want, &mut |topic, message| {
-        let stamp = message.stamp(topic)?;
+        let stamp = message.stamp(topic);
         let (first, last) = range.get_or_insert((message.log_time, message.log_time));
         (*first, *last) = ((*first).min(message.log_time), (*last).max(message.log_time));
         if topics.len() <= topic.id {
             topics.resize_with(topic.id + 1, || None);
         }
         let slot = &mut topics[topic.id];
-        match slot {
-            Some(running) => running.go_on(stamp, message.log_time),
-            None => *slot = Some(Running::begin(topic, stamp, message.log_time, message.data)?),
+        let known = *stamp.as_ref().unwrap_or(&message.log_time);
+        let is_new = slot.is_none();
+        let running = slot.get_or_insert_with(|| Running::begin(topic, known, message.log_time));
+        if !is_new && stamp.is_ok() {
+            running.go_on(known, message.log_time);
         }
-        if let Some(running) = slot {
-            running.entry.messages += 1;
-            running.entry.bytes += message.length;
+        running.entry.messages += 1;
+        running.entry.bytes += message.length;
+        // The first message that can be read says what the topic holds.
+        match stamp
+            .and_then(|_| if running.entry.detail.is_empty() { detail(topic, message.data) } else { Ok(String::new()) })
+        {
+            Ok(detail) if running.entry.detail.is_empty() => running.entry.detail = detail,
+            Ok(_) => {}
+            Err(error) => {
+                running.entry.bad_messages += 1;
+                running.entry.first_problem.get_or_insert_with(|| error.to_string());
+            }
         }
         Ok(())
     })?;
@@ -115,6 +132,7 @@ pub fn survey(recording: &mut Recording) -> Result<Survey, RecordingError> {
         messages: topics.iter().map(|topic| topic.messages).sum(),
         duration_s: seconds(last - first),
         topics,
+        cuts: recording.cuts().to_vec(),
     })
 }
 
@@ -133,6 +151,8 @@ fn empty(topic: &Topic) -> TopicSurvey {
         first_jumps: vec![],
         stamp_minus_log_s: 0.0,
         detail: String::new(),
+        bad_messages: 0,
+        first_problem: None,
     }
 }
 
@@ -141,11 +161,10 @@ fn seconds(duration: Stamp) -> f64 {
 }
 
 impl Running {
-    fn begin(topic: &Topic, stamp: Stamp, log_time: Stamp, data: &[u8]) -> Result<Self, RecordingError> {
+    fn begin(topic: &Topic, stamp: Stamp, log_time: Stamp) -> Self {
         let mut entry = empty(topic);
         entry.stamp_minus_log_s = seconds(stamp - log_time);
-        entry.detail = detail(topic, data)?;
-        Ok(Running { entry, first_log: log_time, first: stamp, last: stamp, last_log: log_time, gaps: vec![] })
+        Running { entry, first_log: log_time, first: stamp, last: stamp, last_log: log_time, gaps: vec![] }
     }
 
     fn go_on(&mut self, stamp: Stamp, log_time: Stamp) {

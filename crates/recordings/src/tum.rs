@@ -38,6 +38,12 @@ impl TumFolder {
         Ok(TumFolder { folder: folder.to_owned(), entries })
     }
 
+    /// The file of an image.
+    pub fn file_of(&self, offset: u64) -> Option<&str> {
+        let entry = self.entries.get(usize::try_from(offset).ok()?)?;
+        (LISTS[entry.list].1 == MessageKind::ImageFile).then_some(entry.text.as_str())
+    }
+
     pub fn scan(&mut self, visitor: &mut Visitor<'_>) -> Result<(), RecordingError> {
         (0..self.entries.len() as u64).try_for_each(|entry| self.read_entry(entry, visitor))
     }

@@ -78,7 +78,7 @@ fn compare(path: &Path, expected: &serde_json::Value, count: usize) -> usize {
                 }
                 (MessageKind::CameraInfo, _) => {
                     let (camera, remark) =
-                        pinhole_from_info(name, &CameraInfo::parse(name, wire, message.data)?, false)?;
+                        pinhole_from_info(name, &CameraInfo::parse(name, wire, message.data)?, false, None)?;
                     assert_eq!((camera.width, camera.height, camera.fx, camera.fy, remark), (32, 24, 40.0, 41.0, None));
                     assert_eq!(
                         (camera.cx, camera.cy, camera.distortion),

@@ -45,6 +45,39 @@ pub enum RigFileError {
     },
 }
 
+/// The URDF of an arm, and where in it the chain begins and ends.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RobotDescription {
+    /// The file's name, as the rig has it.
+    pub file: String,
+    /// Its text.
+    pub text: String,
+    /// The link that is the chain's base.
+    pub base_link: String,
+    /// The link that is the chain's flange.
+    pub tip_link: String,
+}
+
+impl RobotDescription {
+    /// The URDF that the rig at `path` names; `None` where it describes the arm by a table, or has none.
+    pub fn of_rig(path: impl AsRef<Path>) -> Result<Option<Self>, RigFileError> {
+        let path = path.as_ref();
+        let io = |source| RigFileError::Io { path: path.to_owned(), source };
+        let text = skclam_files::read_text(path, skclam_files::Kind::Rig).map_err(io)?;
+        let (reader, file) = parsed(&text, path)?;
+        let table = file.robot.filter(|table| table.urdf.is_some());
+        table.map(|table| reader.description(table)).transpose()
+    }
+}
+
+fn parsed<'a>(text: &str, path: &'a Path) -> Result<(Reader<'a>, RigFile), RigFileError> {
+    let file = toml::from_str(text).map_err(|error| RigFileError::Syntax {
+        path: path.to_owned(),
+        message: error.to_string().trim_end().to_owned(),
+    })?;
+    Ok((Reader { path }, file))
+}
+
 impl Rig {
     /// Reads `rig.toml`.
     pub fn read(path: impl AsRef<Path>) -> Result<Rig, RigFileError> {
@@ -56,11 +89,7 @@ impl Rig {
 
     /// Reads a rig from text. `path` names the file in errors, and its folder is where a URDF is looked for.
     pub fn from_toml(text: &str, path: impl AsRef<Path>) -> Result<Rig, RigFileError> {
-        let reader = Reader { path: path.as_ref() };
-        let file: RigFile = toml::from_str(text).map_err(|error| RigFileError::Syntax {
-            path: reader.path.to_owned(),
-            message: error.to_string().trim_end().to_owned(),
-        })?;
+        let (reader, file) = parsed(text, path.as_ref())?;
         reader.rig(file)
     }
 

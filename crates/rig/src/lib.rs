@@ -14,7 +14,7 @@ mod rig;
 
 pub use board::{Board, BoardPattern};
 pub use builtin::{builtin_names, builtin_rig};
-pub use file::RigFileError;
+pub use file::{RigFileError, RobotDescription};
 pub use joint_corrections::{JointCorrection, JointCorrections, JointReading, fill_joint_rates, joint_readings};
 pub use posture::{Posture, PostureState};
 pub use prior::Prior;

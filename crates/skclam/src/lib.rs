@@ -4,6 +4,7 @@
 //! crates below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
 //! [`simulation`] and [`recordings`].
 
+pub mod camera_frames;
 pub mod compensation;
 pub mod dataset;
 pub mod evaluation;

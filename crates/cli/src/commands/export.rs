@@ -7,12 +7,13 @@ use crate::screen::{self, say, say_on};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueHint};
 use serde::Serialize;
+use skclam::camera_frames::CameraFrames;
 use skclam::dataset::Dataset;
-use skclam::export::{ExportOptions, Exported, UrdfSource, export as write_export};
+use skclam::export::{ExportOptions, Exported, USUAL_CAMERA_FRAME, UrdfSource, export as write_export};
 use skclam::kinematics::{chain_from_urdf, urdf_ends};
 use skclam::output::{Contents, StagedFolder};
 use skclam::result_recording::{RecordedResult, ResultRecordingOptions, record_result};
-use skclam::rig::Rig;
+use skclam::rig::{Rig, RobotDescription};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -51,9 +52,10 @@ pub struct ExportArgs {
     /// ROS frame of the flange, for the static transform of the mount.
     #[arg(long, value_name = "FRAME", default_value_t = ExportOptions::default().flange_frame)]
     pub flange_frame: String,
-    /// ROS optical frame of the colour camera.
-    #[arg(long, value_name = "FRAME", default_value_t = ExportOptions::default().camera_frame)]
-    pub camera_frame: String,
+    /// ROS optical frame of the colour camera, whose transform is written; by default the frame at the root of the tree
+    /// of the camera's driver, as an imported data set knows it, else camera_color_optical_frame.
+    #[arg(long, value_name = "FRAME")]
+    pub camera_frame: Option<String>,
     /// Folder for the files; made if it is not there.
     #[arg(long, short, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
@@ -62,9 +64,9 @@ pub struct ExportArgs {
 /// What was written.
 #[derive(Debug, Serialize)]
 struct Done {
-    /// The arm's files; `null` for a result without an arm.
+    /// The files of arm and mount.
     #[serde(flatten)]
-    arm: Option<Exported>,
+    written: Exported,
     /// `result.mcap`.
     mcap: Option<RecordedResult>,
 }
@@ -80,24 +82,24 @@ pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
     };
     let urdf = match &args.urdf {
         Some(path) => Some(urdf_source(path, args)?),
-        None => None,
+        None => urdf_of_nominal(args)?,
     };
     let nominal = match (nominal, &dataset, &urdf) {
         (None, Some(dataset), None) => Some(dataset.rig.clone()),
         (nominal, _, _) => nominal,
     };
     let staged = screen::staged(cli.quiet, &args.out, Contents::Export)?;
-    // A result of flange poses has no arm, but can be looked at.
-    let arm = match calibrated.robot.is_some() || !args.mcap {
-        true => Some(write_export(nominal.as_ref(), &calibrated, urdf.as_ref(), &options(args), &staged)?),
-        false => None,
+    let frames = match &args.dataset {
+        Some(folder) => CameraFrames::read(folder)?,
+        None => None,
     };
+    let written = write_export(nominal.as_ref(), &calibrated, urdf.as_ref(), &options(args, frames), &staged)?;
     let mcap = match (&dataset, args.mcap) {
         (Some(dataset), true) => Some(recording(cli, args, dataset, &staged)?),
         _ => None,
     };
     let folder = staged.publish()?;
-    let done = Done { arm, mcap };
+    let done = Done { written, mcap };
     if cli.json {
         screen::json(&done)?;
     } else {
@@ -106,10 +108,11 @@ pub fn export(cli: &Cli, args: &ExportArgs) -> Result<()> {
     Ok(())
 }
 
-fn options(args: &ExportArgs) -> ExportOptions {
+fn options(args: &ExportArgs, frames: Option<CameraFrames>) -> ExportOptions {
     ExportOptions {
         flange_frame: args.flange_frame.clone(),
         camera_frame: args.camera_frame.clone(),
+        frames,
         ..ExportOptions::default()
     }
 }
@@ -118,7 +121,7 @@ fn recording(cli: &Cli, args: &ExportArgs, dataset: &Dataset, staged: &StagedFol
     let defaults = ResultRecordingOptions::default();
     let options = ResultRecordingOptions {
         flange_frame: args.flange_frame.clone(),
-        camera_frame: args.camera_frame.clone(),
+        camera_frame: args.camera_frame.clone().unwrap_or_else(|| USUAL_CAMERA_FRAME.to_owned()),
         residual_lines: defaults.residual_lines.filter(|_| !args.without_residuals),
         ..defaults
     };
@@ -131,17 +134,14 @@ fn recording(cli: &Cli, args: &ExportArgs, dataset: &Dataset, staged: &StagedFol
 }
 
 fn show(cli: &Cli, args: &ExportArgs, done: &Done, folder: &Path) {
-    let left_out = done.arm.iter().flat_map(|arm| &arm.left_out);
-    let left_out = left_out.chain(done.mcap.iter().flat_map(|mcap| &mcap.left_out));
-    screen::warn(cli.quiet, &left_out.map(|reason| format!("left out: {reason}")).collect::<Vec<_>>());
-    let mut files = Vec::new();
-    if let Some(arm) = &done.arm {
-        if let (true, Some(diff)) = (args.diff, &arm.urdf_diff) {
-            say_on!("{diff}");
-        }
-        say!("{}", arm.static_transform);
-        files.extend(arm.files.iter().map(String::as_str));
+    let left_out = done.written.left_out.iter().chain(done.mcap.iter().flat_map(|mcap| &mcap.left_out));
+    let left_out = left_out.map(|reason| format!("left out: {reason}"));
+    screen::warn(cli.quiet, &left_out.chain(done.written.notes.iter().cloned()).collect::<Vec<_>>());
+    if let (true, Some(diff)) = (args.diff, &done.written.urdf_diff) {
+        say_on!("{diff}");
     }
+    say!("{}", done.written.static_transform);
+    let mut files: Vec<&str> = done.written.files.iter().map(String::as_str).collect();
     if let Some(mcap) = &done.mcap {
         let mut table = screen::table(&["topic", "messages"]);
         for (topic, count) in &mcap.messages {
@@ -167,5 +167,21 @@ fn urdf_source(path: &Path, args: &ExportArgs) -> Result<UrdfSource> {
     let tip_link = choose("--tip-link", &args.tip_link, tips)?;
     // Links that are not there are reported with the file's name.
     chain_from_urdf(&text, &base_link, &tip_link).with_context(|| shown.to_string())?;
-    Ok(UrdfSource { text, base_link, tip_link })
+    Ok(UrdfSource { text, base_link, tip_link, is_wanted: true })
+}
+
+/// The URDF that the nominal rig names: its links are the frames of the reader.
+fn urdf_of_nominal(args: &ExportArgs) -> Result<Option<UrdfSource>> {
+    let path = match (&args.nominal, &args.dataset) {
+        (Some(path), _) => path.clone(),
+        (None, Some(folder)) => folder.join("rig.toml"),
+        (None, None) => return Ok(None),
+    };
+    let description = RobotDescription::of_rig(path)?;
+    Ok(description.map(|RobotDescription { text, base_link, tip_link, .. }| UrdfSource {
+        text,
+        base_link,
+        tip_link,
+        is_wanted: false,
+    }))
 }

@@ -60,8 +60,11 @@ fn show_recording(cli: &Cli, survey: &Survey) {
         say!("{}", described(topic));
     }
     say!("{} messages in {:.3} s", survey.messages, survey.duration_s);
-    let mut warnings = Vec::new();
+    let mut warnings = survey.cuts.clone();
     for topic in survey.topics.iter().filter(|topic| topic.read) {
+        if let Some(problem) = &topic.first_problem {
+            warnings.push(format!("{} messages cannot be read, the first because: {problem}", topic.bad_messages));
+        }
         for jump in topic.first_jumps.iter().take(3) {
             warnings.push(format!("{}: the clock jumps by {:+.3} s at {:.3} s", topic.topic, jump.jump_s, jump.at_s));
         }
@@ -256,11 +259,13 @@ mod tests {
             first_jumps: vec![],
             stamp_minus_log_s: 0.0,
             detail: "rgb8 1920 x 1080".to_owned(),
+            bad_messages: 0,
+            first_problem: None,
         }
     }
 
     fn survey_of(topics: Vec<TopicSurvey>) -> Survey {
-        Survey { format: RecordingFormat::Mcap, messages: 0, duration_s: 0.0, topics }
+        Survey { format: RecordingFormat::Mcap, messages: 0, duration_s: 0.0, topics, cuts: vec![] }
     }
 
     fn widest(table: &Table) -> usize {

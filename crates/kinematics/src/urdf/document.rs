@@ -17,6 +17,10 @@ const EXPAND: &str =
 /// A joint on the way from base to tip.
 pub(super) struct UrdfJoint<'a> {
     pub(super) name: &'a str,
+    pub(super) parent: &'a str,
+    pub(super) child: &'a str,
+    /// `rpy` of the origin as it stands in the text, radians.
+    pub(super) angles: Vector3<f64>,
     /// `parent_from_child` at joint value 0.
     pub(super) origin: Isometry3,
     /// `None`: fixed.
@@ -56,6 +60,7 @@ struct RawJoint<'a> {
     name: &'a str,
     kind: &'a str,
     parent: &'a str,
+    child: &'a str,
     mimics: Option<&'a str>,
     origin: Option<RawOrigin<'a>>,
     axis: Option<&'a str>,
@@ -144,6 +149,7 @@ impl<'a> Document<'a> {
             name,
             kind,
             parent,
+            child,
             mimics: child_node("mimic").map(|mimic| text_of(text, &mimic, "joint").unwrap_or("another joint")),
             origin,
             axis: attribute("axis", "xyz"),
@@ -295,7 +301,7 @@ impl<'a> RawJoint<'a> {
         };
         let rotation = UnitQuaternion::from_euler_angles(angles.x, angles.y, angles.z);
         let origin = Isometry3::from_parts(Translation3::from(translation), rotation);
-        Ok(UrdfJoint { name: self.name, origin, motion, place })
+        Ok(UrdfJoint { name: self.name, parent: self.parent, child: self.child, angles, origin, motion, place })
     }
 }
 

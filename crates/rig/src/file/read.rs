@@ -1,9 +1,9 @@
 //! From the tables to the rig: every number is checked and named by its key.
 
-use super::RigFileError;
 use super::tables::{
     BoardKind, BoardTable, CameraTable, Convention, DepthTable, JointTable, RigFile, RobotTable, TransformTable,
 };
+use super::{RigFileError, RobotDescription};
 use crate::{Board, BoardPattern, Prior, Rig};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use skclam_geometry::{DepthCamera, Isometry3, PinholeCamera};
@@ -161,6 +161,13 @@ impl Reader<'_> {
     /// The chain of a URDF that lies beside the rig's file; base and tip may be left out where there is only one
     /// choice.
     fn urdf(&self, table: RobotTable) -> Result<SerialChain, RigFileError> {
+        let RobotDescription { file, text, base_link, tip_link } = self.description(table)?;
+        chain_from_urdf(&text, &base_link, &tip_link)
+            .map_err(|error| self.value("robot.urdf", format!("{file}: {error}")))
+    }
+
+    /// The URDF that a rig names.
+    pub(super) fn description(&self, table: RobotTable) -> Result<RobotDescription, RigFileError> {
         if table.convention.is_some() || !table.joint.is_empty() {
             return Err(
                 self.value("robot.urdf", "is given beside convention or [[robot.joint]]; describe the arm in one way")
@@ -188,7 +195,7 @@ impl Reader<'_> {
         };
         let base_link = choose("robot.base_link", table.base_link, bases)?;
         let tip_link = choose("robot.tip_link", table.tip_link, tips)?;
-        chain_from_urdf(&text, &base_link, &tip_link).map_err(refused)
+        Ok(RobotDescription { file: name, text, base_link, tip_link })
     }
 
     fn joint(&self, index: usize, convention: Convention, table: JointTable) -> Result<Joint, RigFileError> {

@@ -12,6 +12,23 @@ fn problem(path: &Path, error: impl std::fmt::Display) -> DatasetError {
     DatasetError::Image { path: path.to_owned(), problem: error.to_string() }
 }
 
+/// What is read as an image.
+const READ: &str = "read are PNG, JPEG, PGM/PPM, BMP, TIFF and WebP";
+
+/// The format of an image by its content, whatever its file's ending says.
+fn format_of(path: &Path, beginning: &[u8]) -> Result<ImageFormat, DatasetError> {
+    let found = match image::guess_format(beginning) {
+        Ok(format) if format.reading_enabled() => return Ok(format),
+        Ok(format) => format!("an image in the format {format:?}"),
+        Err(_) if beginning.starts_with(b"\x93NUMPY") => {
+            "a NumPy array (.npy); write it as a 16-bit grey PNG".to_owned()
+        }
+        Err(_) if beginning.is_empty() => "an empty file".to_owned(),
+        Err(_) => "no image of a known format".to_owned(),
+    };
+    Err(problem(path, format!("this is {found}; {READ}")))
+}
+
 /// Compares the size in the image's header with the camera's.
 pub(super) fn check_header(
     folder: &Path,
@@ -30,8 +47,7 @@ pub(super) fn check_header(
         None => {
             let mut whole = BufReader::new(file);
             whole.rewind().map_err(io)?;
-            // The content decides the format, not the file's ending.
-            let reader = ImageReader::new(whole).with_guessed_format().map_err(io)?;
+            let reader = ImageReader::with_format(whole, format_of(&path, &beginning)?);
             reader.into_dimensions().map_err(|error| problem(&path, error))?
         }
     };
@@ -63,12 +79,12 @@ fn decode(
     let io = |source| DatasetError::Io { path: path.clone(), source };
     let mut bytes = inside(folder, name).and_then(|path| read(path, Kind::Image)).map_err(io)?;
     png::strip(&mut bytes);
-    let reader = || ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
-    let size = reader().map_err(io)?.into_dimensions().map_err(|error| problem(&path, error))?;
+    let format = format_of(&path, &bytes)?;
+    let reader = || ImageReader::with_format(Cursor::new(&bytes), format);
+    let size = reader().into_dimensions().map_err(|error| problem(&path, error))?;
     fits(&path, size, camera, table)?;
-    let reader = reader().map_err(io)?;
-    let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
-    let decoded = reader.decode().map_err(|error| problem(&path, error))?;
+    let is_jpeg = format == ImageFormat::Jpeg;
+    let decoded = reader().decode().map_err(|error| problem(&path, error))?;
     // The decoder fills in grey where a JPEG breaks off; a PNG it refuses by itself.
     match is_jpeg.then(|| jpeg::breaks_off(&bytes, &decoded)).flatten() {
         Some(why) => Err(problem(&path, format!("the JPEG breaks off: {why}; copy or record the image again"))),
@@ -92,7 +108,7 @@ pub(super) fn read_depth(folder: &Path, name: &Path, camera: &DepthCamera) -> Re
         return Err(problem(
             path,
             format!(
-                "the pixels are {found}; a depth image is a 16-bit grey PNG or PGM, z-depth in counts of depth.unit_mm"
+                "the pixels are {found}; a depth image is a 16-bit grey PNG, TIFF or PGM, z-depth in counts of depth.unit_mm"
             ),
         ));
     };

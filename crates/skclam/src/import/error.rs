@@ -40,11 +40,35 @@ pub enum ImportError {
         /// What is wrong.
         problem: String,
     },
+    /// A table of poses is not well formed.
+    #[error("{}, line {line}: {problem}", path.display())]
+    Poses {
+        /// The file.
+        path: PathBuf,
+        /// Line, counted from 1 (the header).
+        line: u64,
+        /// What is wrong.
+        problem: String,
+    },
     /// No joints and no poses.
     #[error("{problem}")]
     NoJoints {
         /// What was found and what can be done.
         problem: String,
+    },
+    /// Images and joints are not timed by one clock.
+    #[error("{problem}")]
+    Clocks {
+        /// The gap, and what can be done.
+        problem: String,
+    },
+    /// Something was wrong with the recording beside what ended the import.
+    #[error("{source}\n{notes}")]
+    Noted {
+        /// What ended the import.
+        source: Box<ImportError>,
+        /// What was passed over, one line each.
+        notes: String,
     },
     /// A camera is not known, or not as large as its images.
     #[error("{camera} camera: {problem}")]

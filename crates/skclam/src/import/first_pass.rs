@@ -1,46 +1,30 @@
-//! The first pass through a recording: stamps of all images, the joints, the cameras; no pixels.
+//! The first pass through a recording: stamps of all images, the joints, the cameras; no pixels. A message that cannot
+//! be read is passed over and counted.
 
 use super::cameras::Cameras;
+use super::images::Images;
+use super::passed_over::PassedOver;
 use super::{Chosen, DepthChoice, ImportError, ImportOptions, topics};
 use crate::progress::Progress;
-use skclam_kinematics::JointKind;
 use skclam_recordings::{
-    CameraInfo, Float32, ImageHead, ImageStamp, JointNames, JointState, JointTrack, MessageKind, Recording,
-    RecordingError, Topic, TransformMessage, Wanted, parse_tf_message,
+    CameraInfo, Float32, ImageHead, JointCollector, JointNames, JointState, JointTrack, Message, MessageKind,
+    Recording, RecordingError, Topic, TransformMessage, Wanted, WireFormat, parse_tf_message,
 };
 use skclam_rig::Rig;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// What the first pass found.
 pub(super) struct FirstPass {
     pub chosen: Chosen,
-    /// By topic.
-    pub images: BTreeMap<usize, Vec<ImageStamp>>,
-    pub tracks: Tracks,
+    pub images: Images,
+    pub joints: JointCollector,
+    /// Poses instead of joints, by topic.
+    pub poses: BTreeMap<usize, JointTrack>,
     pub cameras: Cameras,
     pub warnings: Vec<String>,
 }
 
-/// Joints or poses by topic, and why other topics have none.
-#[derive(Default)]
-pub(super) struct Tracks {
-    pub found: BTreeMap<usize, JointTrack>,
-    pub names: BTreeMap<usize, JointNames>,
-    pub refused: BTreeMap<usize, RecordingError>,
-}
-
-/// Size, encoding and frame of a topic's first image.
-#[derive(Debug, Clone, Default)]
-pub(super) struct ImageKind {
-    pub encoding: String,
-    pub frame_id: String,
-}
-
-/// Images of a recording at most, over all topics.
-const MAX_IMAGES: usize = 1 << 22;
-/// Topics with joints at most: each track takes memory.
-const MAX_TRACKS: usize = 2;
-/// An image's header, size and encoding are within so many bytes.
+/// An image's header, size and encoding stand within so many bytes.
 const HEAD_BYTES: usize = 1024;
 
 pub(super) fn first_pass(
@@ -48,72 +32,49 @@ pub(super) fn first_pass(
     rig: &Rig,
     wants_joints: bool,
     options: &ImportOptions,
+    passed_over: &mut PassedOver,
     progress: &dyn Progress,
 ) -> Result<FirstPass, ImportError> {
-    let mut images: BTreeMap<usize, Vec<ImageStamp>> = BTreeMap::new();
-    let mut kinds: BTreeMap<usize, ImageKind> = BTreeMap::new();
-    let mut tracks = Tracks::default();
-    let mut cameras = Cameras::default();
-    let mut warnings = Vec::new();
-    let mut count = 0;
-    let mut seen_cameras = BTreeSet::new();
     let joint_topic = options.joint_topic.as_deref();
     let mut want = |topic: &Topic, _| match topic.kind {
         MessageKind::Image | MessageKind::CompressedImage if is_image_wanted(topic, options) => {
             Wanted::Beginning(HEAD_BYTES)
         }
         MessageKind::ImageFile if is_image_wanted(topic, options) => Wanted::Beginning(0),
-        MessageKind::CameraInfo if seen_cameras.insert(topic.id) => Wanted::Whole,
         MessageKind::JointState if wants_joints && joint_topic.is_none_or(|name| name == topic.name) => Wanted::Whole,
         MessageKind::PoseLine if wants_joints => Wanted::Whole,
-        MessageKind::Transforms if topic.name.ends_with("tf_static") => Wanted::Whole,
-        MessageKind::Transform => Wanted::Whole,
+        MessageKind::CameraInfo | MessageKind::Transforms | MessageKind::Transform => Wanted::Whole,
         // With a space in the Viewer's own files, with an underscore where they were converted.
         MessageKind::Float32 if topic.name.replace(' ', "_").ends_with("/option/Depth_Units/value") => Wanted::Whole,
         _ => Wanted::Nothing,
     };
+    let mut found = Found::new(rig, options);
     recording.scan(false, &mut want, &mut |topic, message| {
         if progress.stop_requested() {
             return Err(RecordingError::Stopped);
         }
-        let name = &topic.name;
-        match (topic.kind, topic.wire) {
-            (kind @ (MessageKind::Image | MessageKind::CompressedImage), Some(wire)) => {
-                let head = ImageHead::parse(kind, name, wire, message.data)?;
-                kinds.entry(topic.id).or_insert_with(|| ImageKind {
-                    encoding: head.encoding.to_owned(),
-                    frame_id: head.header.frame_id.to_owned(),
-                });
-                add(&mut images, &mut count, topic, ImageStamp { stamp: head.header.stamp, place: message.place })?;
-            }
-            (MessageKind::ImageFile, _) => {
-                kinds.entry(topic.id).or_default();
-                add(&mut images, &mut count, topic, ImageStamp { stamp: message.log_time, place: message.place })?;
-            }
-            (MessageKind::CameraInfo, Some(wire)) => {
-                cameras.infos.insert(name.clone(), CameraInfo::parse(name, wire, message.data)?);
-            }
-            (MessageKind::JointState, Some(wire)) => {
-                tracks.add_joints(topic.id, &JointState::parse(name, wire, message.data)?, rig, options);
-            }
-            (MessageKind::PoseLine, _) => tracks.add_pose(topic, message.log_time, message.data)?,
-            (MessageKind::Transforms, Some(wire)) => {
-                cameras.add_transforms(parse_tf_message(name, wire, message.data)?)?
-            }
-            (MessageKind::Transform, Some(wire)) => {
-                cameras.extrinsics.insert(name.clone(), TransformMessage::parse(name, wire, message.data)?.0);
-            }
-            (MessageKind::Float32, Some(wire)) => {
-                cameras.depth_units.insert(name.clone(), Float32::parse(name, wire, message.data)?.0);
-            }
-            _ => {}
-        }
-        Ok(())
+        let read = match topic.wire {
+            Some(wire) => found.message(topic, wire, message),
+            None => found.file(topic, message),
+        };
+        passed_over.check(&topic.name, read).map(drop)
     })?;
-    let chosen = topics::choose(recording, &kinds, options, &mut warnings)?;
-    images.retain(|topic, _| *topic == chosen.color || Some(*topic) == chosen.depth);
-    cameras.frames = kinds.into_iter().map(|(topic, kind)| (topic, kind.frame_id)).collect();
-    Ok(FirstPass { chosen, images, tracks, cameras, warnings })
+    let Found { mut images, joints, poses, mut cameras, .. } = found;
+    let mut warnings = Vec::new();
+    let chosen = topics::choose(recording, &images, options, &mut warnings)?;
+    images.topics.retain(|topic, _| *topic == chosen.color || Some(*topic) == chosen.depth);
+    for (id, topic) in &mut images.topics {
+        let named = &recording.topics()[*id];
+        let others = topic.keep_main(named)?;
+        if others > 0 {
+            let kind = topic.kind();
+            let ((width, height), encoding) = (kind.size, &kind.encoding);
+            let problem = format!("it is not {width} x {height} in {encoding:?}, as the others are");
+            passed_over.add_many(&named.name, others as u64, problem);
+        }
+        cameras.kinds.insert(*id, topic.kind().clone());
+    }
+    Ok(FirstPass { chosen, images, joints, poses, cameras, warnings })
 }
 
 /// Where topics are named, no other's stamps are collected.
@@ -126,61 +87,70 @@ fn is_image_wanted(topic: &Topic, options: &ImportOptions) -> bool {
     }
 }
 
-fn add(
-    images: &mut BTreeMap<usize, Vec<ImageStamp>>,
-    count: &mut usize,
-    topic: &Topic,
-    image: ImageStamp,
-) -> Result<(), RecordingError> {
-    *count += 1;
-    if *count > MAX_IMAGES {
-        let problem = format!("there are more than {MAX_IMAGES} images; name the topics, or cut the recording");
-        return Err(RecordingError::Message { topic: topic.name.clone(), problem });
-    }
-    images.entry(topic.id).or_default().push(image);
-    Ok(())
+struct Found<'a> {
+    images: Images,
+    joints: JointCollector,
+    poses: BTreeMap<usize, JointTrack>,
+    cameras: Cameras,
+    /// Names that the arm's joints may have.
+    arm: Vec<String>,
+    given: Option<&'a [String]>,
 }
 
-impl Tracks {
-    fn add_joints(&mut self, topic: usize, state: &JointState<'_>, rig: &Rig, options: &ImportOptions) {
-        let Some(robot) = &rig.robot else { return };
-        if !self.names.contains_key(&topic) {
-            if state.positions.is_empty() {
-                return;
-            }
-            let arm: Vec<String> = match &options.joint_names {
-                Some(names) => names.clone(),
-                None => robot.joints().iter().map(|joint| joint.name.clone()).collect(),
-            };
-            let resolved = match &options.joint_names {
-                Some(names) if names.len() != robot.joint_count() => Err(RecordingError::Joints {
-                    problem: format!("{} names are given, but the arm has {}", names.len(), robot.joint_count()),
-                }),
-                _ => JointNames::resolve(&arm, &state.names),
-            };
-            match resolved {
-                Ok(names) if self.found.len() < MAX_TRACKS => {
-                    let wraps = robot.joints().iter().map(|joint| joint.kind == JointKind::Revolute).collect();
-                    self.found.insert(topic, JointTrack::new(wraps));
-                    self.names.insert(topic, names);
-                    self.refused.remove(&topic);
-                }
-                Ok(_) => return,
-                Err(error) => {
-                    // A later message of the topic may have the arm's joints: a gripper may speak first.
-                    self.refused.entry(topic).or_insert(error);
-                    return;
-                }
-            }
+impl<'a> Found<'a> {
+    fn new(rig: &Rig, options: &'a ImportOptions) -> Self {
+        let arm = rig.robot.iter().flat_map(|robot| robot.joints()).map(|joint| joint.name.clone()).collect();
+        Found {
+            images: Images::default(),
+            joints: JointCollector::default(),
+            poses: BTreeMap::new(),
+            cameras: Cameras::default(),
+            arm,
+            given: options.joint_names.as_deref(),
         }
-        let values = self.names.get(&topic).and_then(|names| names.values(&state.names, &state.positions));
-        if let (Some(values), Some(track)) = (values, self.found.get_mut(&topic)) {
-            track.push(state.header.stamp, &values);
+    }
+
+    fn message(&mut self, topic: &Topic, wire: WireFormat, message: &Message<'_>) -> Result<(), RecordingError> {
+        let (name, data) = (&topic.name, message.data);
+        match topic.kind {
+            kind @ (MessageKind::Image | MessageKind::CompressedImage) => {
+                let head = ImageHead::parse(kind, name, wire, data)?;
+                self.images.add(topic, Some(&head), (head.header.stamp, message.log_time, message.place))?;
+            }
+            MessageKind::CameraInfo => self.cameras.add_info(name, CameraInfo::parse(name, wire, data)?),
+            MessageKind::JointState => {
+                let state = JointState::parse(name, wire, data)?;
+                let keep = |name: &str| match self.given {
+                    Some(given) => given.iter().any(|wanted| wanted == name),
+                    None => JointNames::may_match(&self.arm, name),
+                };
+                self.joints.add(topic.id, message.log_time, &state, self.given, &keep);
+            }
+            MessageKind::Transforms => {
+                let is_static = name.ends_with("tf_static");
+                self.cameras.frames.add(parse_tf_message(name, wire, data)?, is_static)?;
+            }
+            MessageKind::Transform => {
+                self.cameras.extrinsics.insert(name.clone(), TransformMessage::parse(name, wire, data)?.0);
+            }
+            MessageKind::Float32 => {
+                self.cameras.depth_units.insert(name.clone(), Float32::parse(name, wire, data)?.0);
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn file(&mut self, topic: &Topic, message: &Message<'_>) -> Result<(), RecordingError> {
+        match topic.kind {
+            MessageKind::ImageFile => self.images.add(topic, None, (message.log_time, message.log_time, message.place)),
+            MessageKind::PoseLine => self.pose(topic, message.log_time, message.data),
+            _ => Ok(()),
         }
     }
 
     /// A pose as seven values: metres and a quaternion.
-    fn add_pose(&mut self, topic: &Topic, stamp: i64, line: &[u8]) -> Result<(), RecordingError> {
+    fn pose(&mut self, topic: &Topic, stamp: i64, line: &[u8]) -> Result<(), RecordingError> {
         let text = String::from_utf8_lossy(line);
         let mut values: Vec<f64> =
             text.split_whitespace().map_while(|word| word.parse().ok().filter(|v: &f64| v.is_finite())).collect();
@@ -189,7 +159,7 @@ impl Tracks {
             let problem = format!("{text:?} is no pose; \"tx ty tz qx qy qz qw\" is expected");
             return Err(RecordingError::Message { topic: topic.name.clone(), problem });
         }
-        let track = self.found.entry(topic.id).or_insert_with(|| JointTrack::new(vec![false; 7]));
+        let track = self.poses.entry(topic.id).or_insert_with(|| JointTrack::new(vec![false; 7]));
         // Of the two quaternions of a rotation the one near the last, so that the mean of neighbours is between them.
         if let Some(last) = track.len().checked_sub(1) {
             let product: f64 = values[3..].iter().zip(&track.at(last)[3..]).map(|(a, b)| a * b).sum();

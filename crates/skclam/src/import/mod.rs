@@ -5,19 +5,29 @@
 //! read. Memory does not grow with the recording.
 
 mod cameras;
+mod clocks;
 mod error;
 mod first_pass;
+mod frames;
+mod images;
 mod joint_log;
+mod joints;
+mod passed_over;
+mod poses;
+mod timing;
 mod topics;
 mod write;
 
+pub use clocks::ClockChoice;
 pub use error::ImportError;
 pub use joint_log::read_joint_log;
+pub use poses::{PoseNotation, PoseTableOptions, import_poses};
 
 use crate::dataset::PostureRecord;
 use crate::output::StagedFolder;
 use crate::progress::{Progress, Stage};
 use first_pass::{FirstPass, first_pass};
+use passed_over::PassedOver;
 use serde::{Deserialize, Serialize};
 use skclam_kinematics::JointKind;
 use skclam_recordings::{
@@ -26,6 +36,7 @@ use skclam_recordings::{
 };
 use skclam_rig::{PostureState, Rig};
 use std::collections::BTreeMap;
+use timing::{Timed, timed};
 use topics::Chosen;
 
 /// Where the cameras' intrinsics come from.
@@ -66,6 +77,11 @@ pub struct ImportOptions {
     pub joint_names: Option<Vec<String>>,
     /// Intrinsics.
     pub cameras: CameraSource,
+    /// Whether the rig is a built-in one: its arm may be that of the recording, its cameras are those of the virtual
+    /// cell and never stand in for real ones.
+    pub builtin_rig: bool,
+    /// Which times pair images and joints.
+    pub clock: ClockChoice,
     /// Which images become postures.
     pub selection: SelectionOptions,
 }
@@ -107,57 +123,100 @@ pub fn import_recording(
     staged: &StagedFolder,
     progress: &dyn Progress,
 ) -> Result<ImportSummary, ImportError> {
-    let FirstPass { chosen, images, tracks, mut cameras, mut warnings } =
-        first_pass(recording, rig, joint_log.is_none(), options, progress)?;
-    let (joint_topic, mut track) = match joint_log {
-        Some(log) => ("the joint log".to_owned(), log),
-        None => topics::choose_track(recording, rig, tracks, options.joint_topic.as_deref(), &mut warnings)?,
-    };
-    track.sort();
-    if track.stride() > 1 {
-        warnings.push(format!("every {}th joint state was used, to bound memory", track.stride()));
+    let mut passed_over = PassedOver::default();
+    let imported = import_postures(recording, rig, joint_log, options, staged, progress, &mut passed_over);
+    let notes = [passed_over.warnings(), recording.cuts().to_vec()].concat();
+    match imported {
+        Ok(mut summary) => {
+            summary.warnings.splice(0..0, notes);
+            Ok(summary)
+        }
+        // What was wrong with the recording may be why it ended so.
+        Err(error) if !notes.is_empty() && !matches!(error, ImportError::Recording(RecordingError::Stopped)) => {
+            Err(ImportError::Noted { source: Box::new(error), notes: notes.join("\n") })
+        }
+        Err(error) => Err(error),
     }
-    let color_images = images.get(&chosen.color).cloned().unwrap_or_default();
-    let depth_images = chosen.depth.and_then(|topic| images.get(&topic).cloned()).unwrap_or_default();
-    let plan = plan_postures(&track, &color_images, &depth_images, &options.selection)?;
-    enough(&plan, color_images.len(), &track, options)?;
-    if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
-        warnings.push(
-            "joint states come too seldom to know whether the arm moved; every image with joints beside it is taken"
-                .to_owned(),
-        );
-    }
+}
+
+fn import_postures(
+    recording: &mut Recording,
+    rig: &Rig,
+    joint_log: Option<JointTrack>,
+    options: &ImportOptions,
+    staged: &StagedFolder,
+    progress: &dyn Progress,
+    passed_over: &mut PassedOver,
+) -> Result<ImportSummary, ImportError> {
+    // The depth camera of a built-in rig is nobody's; the colour camera is asked for where it is used.
+    let of_arm = Rig { depth: rig.depth.filter(|_| !options.builtin_rig), ..rig.clone() };
+    let rig = &of_arm;
+    let mut found = first_pass(recording, rig, joint_log.is_none(), options, passed_over, progress)?;
+    let timed = timed(recording, rig, joint_log, &mut found, options)?;
+    let mut plan = plan(&mut found, &timed, options)?;
     progress.begin(Stage::Import, plan.postures.iter().map(|posture| posture.candidates.len() as u64).sum());
-    let taken = sharpest(recording, &plan.postures, progress, &mut warnings)?;
-    let written = write::images(recording, &chosen, &plan.postures, &taken, staged, progress)?;
+    let mut taken = sharpest(recording, &plan.postures, progress)?;
+    let written = write::images(recording, &found.chosen, &plan.postures, &taken, staged, passed_over, progress)?;
+    drop_unread(&mut plan, &mut taken, &written)?;
+    let FirstPass { chosen, images, mut cameras, mut warnings, .. } = found;
+    let imported = cameras.rig(recording, rig, &chosen, &written, options, &mut warnings)?;
     let robot = rig.robot.as_ref();
-    let rig = cameras.rig(recording, rig, &chosen, &written, options, &mut warnings)?;
-    let records: Vec<PostureRecord> = plan
-        .postures
-        .iter()
-        .zip(&taken)
-        .enumerate()
-        .map(|(index, (posture, &candidate))| write::record(index, &posture.candidates[candidate], &written, robot))
-        .collect();
-    let kinds: Vec<JointKind> = match robot {
-        Some(robot) => robot.joints().iter().map(|joint| joint.kind).collect(),
-        None => vec![],
-    };
+    let candidates = plan.postures.iter().zip(&taken).map(|(posture, &candidate)| &posture.candidates[candidate]);
+    let records: Vec<PostureRecord> =
+        candidates.enumerate().map(|(index, candidate)| write::record(index, candidate, &written, robot)).collect();
+    let kinds: Vec<JointKind> = robot.iter().flat_map(|robot| robot.joints()).map(|joint| joint.kind).collect();
     staged.write("postures.csv", crate::dataset::write_postures(&records, &kinds)?)?;
-    staged.write("rig.toml", rig.to_toml()?)?;
-    limits_warning(&rig, &records, &mut warnings);
+    staged.write("rig.toml", imported.to_toml()?)?;
+    write::frames(&cameras, &chosen, staged)?;
+    limits_warning(&imported, &records, &mut warnings);
     let name = |topic: usize| recording.topics()[topic].name.clone();
     Ok(ImportSummary {
         postures: records.len(),
         selection: plan.selection,
         color_topic: name(chosen.color),
         depth_topic: chosen.depth.map(name),
-        joint_topic,
-        color_images: color_images.len(),
+        joint_topic: timed.joint_topic,
+        color_images: images.stamps(chosen.color, timed.clock).len(),
         moving: plan.moving,
         without_depth: plan.without_depth,
         warnings,
     })
+}
+
+/// Which images are worth decoding.
+fn plan(found: &mut FirstPass, timed: &Timed, options: &ImportOptions) -> Result<PosturePlan, ImportError> {
+    let stamps = |topic: usize| found.images.stamps(topic, timed.clock);
+    let color_images = stamps(found.chosen.color);
+    let depth_images = found.chosen.depth.map(stamps).unwrap_or_default();
+    let plan = plan_postures(&timed.track, &color_images, &depth_images, &options.selection)?;
+    enough(&plan, color_images.len(), &timed.track, options)?;
+    if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
+        found.warnings.push(
+            "joint states come too seldom to tell whether the arm moved; every image with joints beside it is taken"
+                .to_owned(),
+        );
+    }
+    if plan.without_depth == plan.postures.len() && !depth_images.is_empty() {
+        found.warnings.push(format!(
+            "no depth image is within {} s of a colour image: do both cameras stamp with one clock?",
+            options.selection.depth_tolerance_s
+        ));
+    }
+    Ok(plan)
+}
+
+/// A posture whose image could not be read is none.
+fn drop_unread(plan: &mut PosturePlan, taken: &mut Vec<usize>, written: &write::Written) -> Result<(), ImportError> {
+    let before = plan.postures.len();
+    let postures = std::mem::take(&mut plan.postures).into_iter().zip(std::mem::take(taken));
+    let has_image = |(posture, candidate): &(PlannedPosture, usize)| written.has(&posture.candidates[*candidate]);
+    (plan.postures, *taken) = postures.filter(has_image).unzip();
+    let got = plan.postures.len();
+    if got < 2 {
+        let reason = format!("the images of {} more could not be read", before - got);
+        return Err(ImportError::TooFewPostures { got, reason });
+    }
+    Ok(())
 }
 
 fn enough(plan: &PosturePlan, images: usize, track: &JointTrack, options: &ImportOptions) -> Result<(), ImportError> {
@@ -188,7 +247,6 @@ fn sharpest(
     recording: &mut Recording,
     postures: &[PlannedPosture],
     progress: &dyn Progress,
-    warnings: &mut Vec<String>,
 ) -> Result<Vec<usize>, ImportError> {
     let choices = postures.iter().filter(|posture| posture.candidates.len() > 1);
     let places: Vec<_> = choices.flat_map(|posture| &posture.candidates).map(|image| image.color.place).collect();
@@ -197,9 +255,9 @@ fn sharpest(
         if progress.stop_requested() {
             return Err(RecordingError::Stopped);
         }
-        match decode_color(topic, message.data) {
-            Ok(pixels) => drop(values.insert(message.place, sharpness(&pixels.image.to_luma8()))),
-            Err(error) => warnings.push(format!("an image was passed over: {error}")),
+        // What is taken after all is counted when it is written.
+        if let Ok(pixels) = decode_color(topic, message.data) {
+            values.insert(message.place, sharpness(&pixels.image.to_luma8()));
         }
         progress.step();
         Ok(())

@@ -1,9 +1,8 @@
-//! Which topics are the colour images, the depth images and the joints.
+//! Which topics are the colour images and the depth images.
 
-use super::first_pass::{ImageKind, Tracks};
+use super::images::{ImageKind, Images};
 use super::{DepthChoice, ImportError, ImportOptions};
-use skclam_recordings::{JointTrack, MessageKind, Recording, RecordingError, Topic};
-use skclam_rig::Rig;
+use skclam_recordings::{MessageKind, Recording, RecordingError, Topic};
 use std::collections::BTreeMap;
 
 /// Topics by their positions in the recording.
@@ -48,10 +47,11 @@ const REALSENSE_RAW: &str = "librealsense/raw_frame";
 /// copy, colour before grey.
 pub(super) fn choose(
     recording: &Recording,
-    kinds: &BTreeMap<usize, ImageKind>,
+    images: &Images,
     options: &ImportOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Chosen, ImportError> {
+    let kinds: &BTreeMap<usize, &ImageKind> = &images.topics.iter().map(|(id, topic)| (*id, topic.kind())).collect();
     let topics = recording.topics();
     let named = |wanted: &'static str, name: &str| {
         let found = kinds.keys().find(|&&topic| topics[topic].name == name).copied();
@@ -116,7 +116,7 @@ fn only(
     wanted: &'static str,
     option: &str,
     candidates: &[usize],
-    kinds: &BTreeMap<usize, ImageKind>,
+    kinds: &BTreeMap<usize, &ImageKind>,
     topics: &[Topic],
 ) -> Result<Option<usize>, RecordingError> {
     match candidates {
@@ -131,50 +131,11 @@ fn only(
     }
 }
 
-fn list<'a>(topics: impl IntoIterator<Item = &'a Topic>) -> String {
+pub(super) fn list<'a>(topics: impl IntoIterator<Item = &'a Topic>) -> String {
     const SHOWN: usize = 40;
     let mut names: Vec<&str> = topics.into_iter().map(|topic| topic.name.as_str()).collect();
     let more = names.len().saturating_sub(SHOWN);
     names.truncate(SHOWN);
     let names = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
     if more > 0 { format!("{names} and {more} more") } else { names }
-}
-
-/// The only track, with the name of its topic.
-pub(super) fn choose_track(
-    recording: &Recording,
-    rig: &Rig,
-    mut tracks: Tracks,
-    wanted: Option<&str>,
-    warnings: &mut Vec<String>,
-) -> Result<(String, JointTrack), ImportError> {
-    let topics = recording.topics();
-    tracks.found.retain(|_, track| !track.is_empty());
-    let mut found: Vec<(usize, JointTrack)> = std::mem::take(&mut tracks.found).into_iter().collect();
-    if found.len() > 1 {
-        let names = list(found.iter().map(|(id, _)| &topics[*id]));
-        let problem = format!("the arm's joints are on {names}; choose one with --joint-topic");
-        return Err(RecordingError::Topic { wanted: "joint states", problem }.into());
-    }
-    if let Some((topic, track)) = found.pop() {
-        if let Some(remark) = tracks.names.get(&topic).and_then(|names| names.remark.clone()) {
-            warnings.push(remark);
-        }
-        return Ok((topics[topic].name.clone(), track));
-    }
-    if let Some((_, error)) = tracks.refused.pop_first() {
-        return Err(error.into());
-    }
-    let has_joints = topics.iter().any(|topic| topic.kind == MessageKind::JointState);
-    let problem = match (wanted, has_joints, &rig.robot) {
-        (Some(name), true, _) => format!("there are no joint states on {name}"),
-        (None, true, None) => {
-            "the recording has joint states, but the rig has no arm; name one with --robot or --rig".to_owned()
-        }
-        _ => format!(
-            "the recording has no joint states (sensor_msgs/JointState); give them as a CSV with --joints. Its topics are {}",
-            list(topics)
-        ),
-    };
-    Err(ImportError::NoJoints { problem })
 }

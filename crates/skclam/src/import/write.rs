@@ -1,6 +1,9 @@
 //! The images of the postures as files.
 
+use super::cameras::Cameras;
+use super::passed_over::PassedOver;
 use super::{Chosen, ImportError, decode_color};
+use crate::camera_frames::{CAMERA_FRAMES, CameraFrames, FrameLink};
 use crate::dataset::PostureRecord;
 use crate::output::StagedFolder;
 use crate::progress::Progress;
@@ -30,13 +33,14 @@ pub(super) struct Written {
     depth: BTreeMap<Place, PathBuf>,
 }
 
-/// Writes the images of the candidates that were taken.
+/// Writes the images of the candidates that were taken. One that cannot be read is passed over and counted.
 pub(super) fn images(
     recording: &mut Recording,
     chosen: &Chosen,
     postures: &[PlannedPosture],
     taken: &[usize],
     staged: &StagedFolder,
+    passed_over: &mut PassedOver,
     progress: &dyn Progress,
 ) -> Result<Written, ImportError> {
     let mut names: BTreeMap<Place, usize> = BTreeMap::new();
@@ -51,7 +55,7 @@ pub(super) fn images(
     }
     let digits = postures.len().saturating_sub(1).to_string().len().max(3);
     let mut written = Written::default();
-    let mut failed = None;
+    let (mut failed, mut bad) = (None, Vec::new());
     let outcome = recording.read(&places, &mut |topic, message| {
         if progress.stop_requested() {
             return Err(RecordingError::Stopped);
@@ -63,14 +67,23 @@ pub(super) fn images(
             false => written.depth(topic, message.data, message.place, &name, staged),
         };
         progress.step();
-        result.map_err(|error| match error {
-            ImportError::Recording(error) => error,
+        result.or_else(|error| match error {
+            ImportError::Recording(RecordingError::Message { problem, .. }) => {
+                bad.push((message.place, topic.name.clone(), problem));
+                Ok(())
+            }
+            ImportError::Recording(error) => Err(error),
             other => {
                 failed = Some(other);
-                RecordingError::Stopped
+                Err(RecordingError::Stopped)
             }
         })
     });
+    for (place, topic, problem) in bad {
+        // In a folder an image is a file, and that is what a person looks for.
+        let file = recording.file_of(place).map_or(String::new(), |file| format!("{file}: "));
+        passed_over.add(&topic, format!("{file}{problem}"));
+    }
     match (failed, outcome) {
         (Some(error), _) => Err(error),
         (None, outcome) => Ok(outcome.map(|()| written)?),
@@ -78,6 +91,11 @@ pub(super) fn images(
 }
 
 impl Written {
+    /// Whether the colour image of a candidate was written.
+    pub fn has(&self, candidate: &Candidate) -> bool {
+        self.color.contains_key(&candidate.color.place)
+    }
+
     fn color(
         &mut self,
         topic: &Topic,
@@ -143,6 +161,18 @@ impl Written {
         self.depth.insert(place, PathBuf::from(file));
         Ok(())
     }
+}
+
+/// Writes how the camera's driver names its frames, for the export: the optical frame has a parent already.
+pub(super) fn frames(cameras: &Cameras, chosen: &Chosen, staged: &StagedFolder) -> Result<(), ImportError> {
+    let Some(optical_frame) = cameras.color_frame(chosen) else { return Ok(()) };
+    let links = cameras.frames.chain(optical_frame);
+    let link = |(frame, parent, parent_from_frame): &(String, String, Isometry3)| {
+        FrameLink::new(frame, parent, parent_from_frame)
+    };
+    let frames = CameraFrames { optical_frame: optical_frame.to_owned(), links: links.iter().map(link).collect() };
+    staged.write(CAMERA_FRAMES, frames.to_json())?;
+    Ok(())
 }
 
 fn same_size(topic: &Topic, first: (u32, u32), now: (u32, u32)) -> Result<(), RecordingError> {

@@ -1,11 +1,15 @@
 //! A calibrated arm in the forms that people use: URDF, `kinematics.yaml`, a static transform, a table of corrections,
 //! JSON.
 
+mod mount;
+
+use crate::camera_frames::CameraFrames;
 use crate::output::{OutputError, StagedFolder};
+use mount::{ExportedMount, ExportedPose, mount};
 use serde::Serialize;
 use skclam_kinematics::{
-    Isometry3, KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
-    line_diff, static_transform_line, write_urdf,
+    KinematicsError, ParameterId, SerialChain, bare_urdf, chain_from_urdf, corrections_csv, kinematics_yaml,
+    kinematics_yaml_of_table, line_diff, static_transform_line, write_urdf,
 };
 use skclam_rig::{JointCorrection, JointCorrections, Rig};
 
@@ -18,18 +22,23 @@ pub struct UrdfSource {
     pub base_link: String,
     /// Link that is the chain's flange.
     pub tip_link: String,
+    /// Whether it was asked for: what cannot be written into it is an error then, and else left out with the reason.
+    pub is_wanted: bool,
 }
 
 /// Options of an export.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ExportOptions {
     /// First link of a URDF that is written for an arm without one.
     pub base_frame: String,
     /// Frame of the flange in the static transform.
     pub flange_frame: String,
-    /// Frame of the colour camera in the static transform: the optical one, z forward.
-    pub camera_frame: String,
-    /// Word that distinguishes one arm's calibration from another's in `kinematics.yaml`.
+    /// Optical frame of the colour camera, z forward, for the static transform. `None`: the frame at the root of the
+    /// driver's tree of `frames`, or the usual name.
+    pub camera_frame: Option<String>,
+    /// How the camera's driver names its frames.
+    pub frames: Option<CameraFrames>,
+    /// Word that tells one arm's calibration from another's in `kinematics.yaml`.
     pub hash: String,
 }
 
@@ -38,7 +47,8 @@ impl Default for ExportOptions {
         ExportOptions {
             base_frame: "base_link".to_owned(),
             flange_frame: "tool0".to_owned(),
-            camera_frame: "camera_color_optical_frame".to_owned(),
+            camera_frame: None,
+            frames: None,
             hash: "calib_skclam".to_owned(),
         }
     }
@@ -65,6 +75,9 @@ pub enum ExportError {
     Output(#[from] OutputError),
 }
 
+/// Name of the optical frame where nobody says it.
+pub const USUAL_CAMERA_FRAME: &str = "camera_color_optical_frame";
+
 /// What was exported.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Exported {
@@ -76,6 +89,8 @@ pub struct Exported {
     pub static_transform: String,
     /// Files that this arm cannot have, and why.
     pub left_out: Vec<String>,
+    /// What to know of the files that were written.
+    pub notes: Vec<String>,
 }
 
 /// One parameter of the arm.
@@ -86,21 +101,6 @@ struct ExportedParameter {
     nominal: f64,
     calibrated: f64,
     correction: f64,
-}
-
-/// A pose as numbers.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct ExportedPose {
-    translation_mm: [f64; 3],
-    quaternion_xyzw: [f64; 4],
-}
-
-impl From<&Isometry3> for ExportedPose {
-    fn from(pose: &Isometry3) -> Self {
-        let t = pose.translation.vector * 1e3;
-        let q = pose.rotation.coords;
-        ExportedPose { translation_mm: [t.x, t.y, t.z], quaternion_xyzw: [q.x, q.y, q.z, q.w] }
-    }
 }
 
 #[derive(Debug, Serialize)]
@@ -137,9 +137,9 @@ impl ExportedCorrections {
 /// Writes a calibrated rig into a folder that the caller publishes. `nominal`: the rig that the calibration began with;
 /// without it the chain of the URDF.
 ///
-/// Written are `corrections.csv`, `parameters.json`, `static_transform.sh`, `robot.urdf` (with a URDF that one
-/// corrected, beside `robot.urdf.diff`; without one a bare description of the chain), and for six revolute joints
-/// `kinematics.yaml`. Every file with numbers says its units.
+/// Written are `static_transform.sh` and `mount.json`, and for a rig with an arm `corrections.csv`, `parameters.json`,
+/// `robot.urdf` (with a URDF that one corrected, beside `robot.urdf.diff`; without one a bare description of the chain),
+/// and for the arms of Universal Robots `kinematics.yaml`. Every file with numbers says its units.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -150,53 +150,106 @@ pub fn export(
     options: &ExportOptions,
     staged: &StagedFolder,
 ) -> Result<Exported, ExportError> {
-    let arm = calibrated.robot.as_ref().ok_or(ExportError::NoRobot { which: "calibrated" })?;
+    let mut files = Files { staged, names: vec![], left_out: vec![] };
+    let mount = mount(calibrated, options);
+    let static_transform = static_transform_line(&mount.flange_from_child, &options.flange_frame, &mount.child_frame)?;
+    files.write("static_transform.sh", &format!("#!/bin/sh\n# Metres.\nexec {static_transform}\n"))?;
+    let exported = ExportedMount {
+        flange_frame: options.flange_frame.clone(),
+        child_frame: mount.child_frame,
+        flange_from_child: (&mount.flange_from_child).into(),
+        flange_from_color: (&calibrated.flange_from_color).into(),
+        flange_from_color_nominal: nominal.map(|rig| (&rig.flange_from_color).into()),
+    };
+    files.write("mount.json", &json(&exported)?)?;
+    let urdf_diff = match &calibrated.robot {
+        Some(arm) => export_arm(nominal, calibrated, arm, urdf, options, &mut files)?,
+        None => {
+            let reason = "corrections.csv, parameters.json, robot.urdf, kinematics.yaml: the calibrated rig has no [robot]; flange poses give the mount alone";
+            files.left_out.push(reason.to_owned());
+            None
+        }
+    };
+    let Files { names, left_out, .. } = files;
+    Ok(Exported { files: names, urdf_diff, static_transform, left_out, notes: mount.notes })
+}
+
+/// What was written, and what was not.
+struct Files<'a> {
+    staged: &'a StagedFolder,
+    names: Vec<String>,
+    left_out: Vec<String>,
+}
+
+impl Files<'_> {
+    fn write(&mut self, name: &str, text: &str) -> Result<(), ExportError> {
+        self.staged.write(name, text)?;
+        self.names.push(name.to_owned());
+        Ok(())
+    }
+}
+
+fn json(value: &impl Serialize) -> Result<String, ExportError> {
+    let text =
+        serde_json::to_string_pretty(value).map_err(|error| KinematicsError::Export { problem: error.to_string() })?;
+    Ok(text + "\n")
+}
+
+/// The files of an arm; the changed lines of its URDF.
+fn export_arm(
+    nominal: Option<&Rig>,
+    calibrated: &Rig,
+    arm: &SerialChain,
+    urdf: Option<&UrdfSource>,
+    options: &ExportOptions,
+    files: &mut Files<'_>,
+) -> Result<Option<String>, ExportError> {
     let nominal_arm: SerialChain = match (nominal, urdf) {
         (Some(rig), _) => rig.robot.clone().ok_or(ExportError::NoRobot { which: "nominal" })?,
         (None, Some(urdf)) => chain_from_urdf(&urdf.text, &urdf.base_link, &urdf.tip_link)?,
         (None, None) => return Err(ExportError::NoNominal),
     };
-    let mut files = Vec::new();
-    let mut left_out = Vec::new();
     let corrected = !calibrated.joint_corrections.is_none();
     if corrected {
         let reason = "gear errors, compliance and time offset: only parameters.json has a place for them; `compensate` applies gears and compliance";
-        left_out.push(reason.to_owned());
+        files.left_out.push(reason.to_owned());
     }
-    let mut write = |name: &str, text: &str| -> Result<(), ExportError> {
-        staged.write(name, text)?;
-        files.push(name.to_owned());
-        Ok(())
-    };
-    write("corrections.csv", &corrections_csv(&nominal_arm, arm)?)?;
-    let json = ExportedJson {
+    files.write("corrections.csv", &corrections_csv(&nominal_arm, arm)?)?;
+    let parameters = ExportedJson {
         name: calibrated.name.clone(),
         parameters: nominal_arm.parameter_ids().into_iter().map(|id| parameter(&nominal_arm, arm, id)).collect(),
         flange_from_color_nominal: nominal.map(|rig| (&rig.flange_from_color).into()),
         flange_from_color: (&calibrated.flange_from_color).into(),
         joint_corrections: corrected.then(|| ExportedCorrections::new(&calibrated.joint_corrections)),
     };
-    let json =
-        serde_json::to_string_pretty(&json).map_err(|error| KinematicsError::Export { problem: error.to_string() })?;
-    write("parameters.json", &(json + "\n"))?;
-    let static_transform =
-        static_transform_line(&calibrated.flange_from_color, &options.flange_frame, &options.camera_frame)?;
-    write("static_transform.sh", &format!("#!/bin/sh\n# Metres.\nexec {static_transform}\n"))?;
-    match kinematics_yaml(arm, &options.hash) {
-        Ok(yaml) => write("kinematics.yaml", &yaml)?,
-        Err(error) => left_out.push(format!("kinematics.yaml: {error}")),
+    files.write("parameters.json", &json(&parameters)?)?;
+    let yaml = match urdf {
+        Some(urdf) => kinematics_yaml(&urdf.text, &urdf.base_link, &urdf.tip_link, &nominal_arm, arm, &options.hash),
+        None => kinematics_yaml_of_table(&nominal_arm, arm, &options.hash),
+    };
+    match yaml {
+        Ok(yaml) => files.write("kinematics.yaml", &yaml)?,
+        Err(error) => files.left_out.push(format!("kinematics.yaml: {error}")),
     }
-    let mut urdf_diff = None;
-    if let Some(urdf) = urdf {
-        let text = write_urdf(&urdf.text, &urdf.base_link, &urdf.tip_link, &nominal_arm, arm)?;
-        let diff = line_diff(&urdf.text, &text);
-        write("robot.urdf", &text)?;
-        write("robot.urdf.diff", &diff)?;
-        urdf_diff = Some(diff);
-    } else {
-        write("robot.urdf", &bare_urdf(arm, &calibrated.name, &options.base_frame, &options.flange_frame))?;
+    let written = urdf.map(|urdf| (urdf, write_urdf(&urdf.text, &urdf.base_link, &urdf.tip_link, &nominal_arm, arm)));
+    match written {
+        Some((urdf, Ok(text))) => {
+            let diff = line_diff(&urdf.text, &text);
+            files.write("robot.urdf", &text)?;
+            files.write("robot.urdf.diff", &diff)?;
+            return Ok(Some(diff));
+        }
+        Some((urdf, Err(error))) if urdf.is_wanted => return Err(error.into()),
+        Some((_, Err(error))) => {
+            files
+                .left_out
+                .push(format!("the corrected URDF of the rig, for which a bare robot.urdf is written: {error}"));
+        }
+        None => {}
     }
-    Ok(Exported { files, urdf_diff, static_transform, left_out })
+    let bare = bare_urdf(arm, &calibrated.name, &options.base_frame, &options.flange_frame);
+    files.write("robot.urdf", &bare)?;
+    Ok(None)
 }
 
 fn parameter(nominal: &SerialChain, calibrated: &SerialChain, id: ParameterId) -> ExportedParameter {
@@ -229,7 +282,12 @@ mod tests {
 
     #[test]
     fn a_urdf_comes_back_with_the_calibrated_chain() {
-        let source = UrdfSource { text: URDF.to_owned(), base_link: "base".to_owned(), tip_link: "tip".to_owned() };
+        let source = UrdfSource {
+            text: URDF.to_owned(),
+            base_link: "base".to_owned(),
+            tip_link: "tip".to_owned(),
+            is_wanted: true,
+        };
         let chain = chain_from_urdf(URDF, "base", "tip").unwrap();
         let nominal = Rig { robot: Some(chain), ..builtin_rig("hp3j").unwrap().unwrap() };
         let calibrated = perturb_random(&nominal, 3, &PerturbationSigmas::default()).unwrap();
@@ -272,5 +330,20 @@ mod tests {
         let staged = StagedFolder::new(folder.path().join("other"), Contents::Export).unwrap();
         let error = export(Some(&handless), &calibrated, None, &ExportOptions::default(), &staged).unwrap_err();
         assert!(error.to_string().contains("the nominal rig has no [robot]"));
+    }
+
+    #[test]
+    fn a_mount_without_an_arm_is_exported_and_the_rest_left_out() {
+        let rig = Rig { robot: None, ..builtin_rig("ur5e").unwrap().unwrap() };
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("export");
+        let staged = StagedFolder::new(&out, Contents::Export).unwrap();
+        let done = export(Some(&rig), &rig, None, &ExportOptions::default(), &staged).unwrap();
+        staged.publish().unwrap();
+        assert_eq!(done.files, ["static_transform.sh", "mount.json"]);
+        assert!(done.left_out[0].contains("no [robot]"), "{:?}", done.left_out);
+        let mount: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(out.join("mount.json")).unwrap()).unwrap();
+        assert_eq!(mount["child_frame"], USUAL_CAMERA_FRAME);
     }
 }
