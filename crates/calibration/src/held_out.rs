@@ -412,7 +412,7 @@ pub fn jackknife(
     };
     let mut factor = 1.0;
     if scattered > claimed * chance_ratio(dof) {
-        // A variance that few groups tell makes of a normal distribution one of Student's, which is wider: by this factor of the variance (Cameron and Miller, "A
+        // A variance that few groups determine makes of a normal distribution one of Student's, which is wider: by this factor of the variance (Cameron and Miller, "A
         // practitioner's guide to cluster-robust inference", 2015, section VI).
         let scattered = scattered * (count - 1.0) / (count - 3.0).max(0.5);
         // The claim grows with the factor until the priors alone hold it.

@@ -101,7 +101,7 @@ fn the_mount_hangs_on_the_root_of_the_drivers_tree() {
     assert!(line.contains("--frame-id tool0 --child-frame-id camera_link"), "{line}");
     let mount = json(&out.join("mount.json"));
     assert_eq!((&mount["child_frame"], &mount["flange_frame"]), (&"camera_link".into(), &"tool0".into()));
-    // Whoever asks for the optical frame gets it, and is told of its parent.
+    // Whoever asks for the optical frame gets it, and a note names its parent.
     let said = skclam(&[&export[..], &["--camera-frame", "camera_color_optical_frame"]].concat());
     assert!(said.status.success() && text(&said.stderr).contains("one parent"), "{}", text(&said.stderr));
 }

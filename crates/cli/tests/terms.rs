@@ -43,10 +43,11 @@ const RULES: &[Rule] = &[
         allowed: &["alias = \"gear_sin_deg", "alias = \"gear_cos_deg", "gear_sin_deg = [", "gear_cos_deg = ["],
     },
     rule(&["lever", "levers"], "gravity torque arm"),
-    rule(
-        &["descent", "descend", "descends", "pull", "pulls", "information matrix"],
-        "gradient, right-hand side, normal matrix, minimisation",
-    ),
+    Rule {
+        found: &["descent", "descend", "descends", "pull", "pulls", "information matrix"],
+        write: "gradient, right-hand side, normal matrix, minimisation",
+        allowed: &["git lfs pull"],
+    },
     rule(&["way px", "ways px"], "residual_px"),
     Rule {
         found: &["freedom"],

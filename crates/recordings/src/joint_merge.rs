@@ -98,7 +98,7 @@ impl Column {
                 let known = t1 - t0 <= self.max_gap || change.abs() <= SAME_VALUE;
                 known.then(|| a + change * ((time - t0) as f64 / (t1 - t0) as f64))
             }
-            // At the ends the nearest value stands for a moment.
+            // At the ends the nearest value holds for a moment.
             (Some((t, value)), None) | (None, Some(&(t, value))) => {
                 ((t - time).abs() <= self.max_gap / 2).then_some(value)
             }

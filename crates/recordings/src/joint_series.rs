@@ -36,7 +36,7 @@ pub struct JointSeries {
     samples: Vec<Sample>,
     offered: u64,
     stride: u64,
-    /// The last message that had the joint, to notice a name that stands in a message twice.
+    /// The last message that had the joint, to notice a name that is twice in a message.
     last_message: u64,
     /// Positions that were NaN or infinite.
     pub not_finite: u64,
@@ -145,7 +145,7 @@ const MAX_LISTED: usize = 256;
 const MAX_SERIES: usize = 1024;
 /// Values of all series at the most: 96 MiB.
 const MAX_VALUES: usize = 4 << 20;
-/// Stands in a list of names for a position of no interest.
+/// In a list of names: a position of no interest.
 const NO_JOINT: &str = "-";
 
 impl TopicJoints {

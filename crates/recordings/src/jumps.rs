@@ -121,7 +121,7 @@ mod tests {
 
     const MS: Stamp = 1_000_000;
 
-    /// A joint that moves and stands, 50 Hz, with what a second source adds at each step.
+    /// A joint that moves and stops, 50 Hz, with what a second source adds at each step.
     fn series(more: impl Fn(i64) -> Vec<(i64, f64)>) -> Vec<(Stamp, f64)> {
         let mut values = vec![];
         for step in 0..600i64 {

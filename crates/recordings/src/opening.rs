@@ -1,4 +1,4 @@
-//! What kind of recording a path stands for: a file by its content, a folder by its files.
+//! What kind of recording a path is: a file by its content, a folder by its files.
 
 use crate::bag::Bag;
 use crate::database::Database;

@@ -132,10 +132,10 @@ const MAX_TOPICS: usize = 1 << 13;
 pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 impl Visitor<'_> {
-    /// A file ends before it should: what stands before `offset` was read.
+    /// A file ends before it should: what is before `offset` was read.
     pub fn cut(&mut self, path: &Path, offset: u64, length: u64, what: &str) {
         self.cuts.push(format!(
-            "{}: {what}: the recording was not closed, or copied in part; {offset} of {length} bytes were read whole, and what stands in them is used",
+            "{}: {what}: the recording was not closed, or copied in part; {offset} of {length} bytes were read whole, and what is in them is used",
             path.display()
         ));
     }
@@ -207,7 +207,7 @@ impl Visitor<'_> {
 }
 
 impl Recording {
-    /// Opens a file (`.bag`, `.mcap`, `.db3`, told by their content), a folder of rosbag2 or a TUM folder. Files that are
+    /// Opens a file (`.bag`, `.mcap`, `.db3`, recognised by their content), a folder of rosbag2 or a TUM folder. Files that are
     /// compressed as a whole with zstd, as rosbag2's mode FILE does, are unpacked into the folder for temporary files.
     ///
     /// # Errors

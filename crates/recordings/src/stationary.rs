@@ -18,7 +18,7 @@ const SPEED_WINDOW: Stamp = 100_000_000;
 ///
 /// A speed is the change over 0.1 s, from the mean of the first half to that of the second, or between the neighbouring
 /// samples where these are further apart. Where no sample came for longer than `max_gap_s` nobody knows what the arm did,
-/// and a stand ends; two stands at the same joint values with such a gap between are one. So are two between which the
+/// and an interval ends; two intervals at the same joint values with such a gap between are one. So are two between which the
 /// joints flickered and went nowhere; and an encoder that flickers all the time is watched for longer.
 pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions) -> Vec<StationaryInterval> {
     let times = track.times();
@@ -30,7 +30,7 @@ pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions)
         let begins_at = track.mean_of(first, last.min(first + MEAN_OF) + 1);
         if let Some((begin, before, anchor)) = intervals.last_mut() {
             let flickers = || is_flicker(track, (*begin, *before, anchor.as_slice()), (first, &begins_at), max_gap);
-            if is_same_stand(track, *before, first) || flickers() {
+            if is_same_interval(track, *before, first) || flickers() {
                 *before = last;
                 return;
             }
@@ -58,11 +58,11 @@ pub fn find_stationary_intervals(track: &JointTrack, options: &SelectionOptions)
 }
 
 /// Neighbouring samples at the same values: nothing but missing ones parts the two intervals.
-fn is_same_stand(track: &JointTrack, last: usize, first: usize) -> bool {
+fn is_same_interval(track: &JointTrack, last: usize, first: usize) -> bool {
     first == last + 1 && track.largest_change(last, first) <= SAME_POSTURE
 }
 
-/// Whether all that lies between two parts of a stand is the flicker of an encoder: no sample is far from either part,
+/// Whether all that lies between two parts of an interval is the flicker of an encoder: no sample is far from either part,
 /// and the second is the same posture as the first was at its beginning, up to the flicker.
 fn is_flicker(track: &JointTrack, before: (usize, usize, &[f64]), after: (usize, &[f64]), max_gap: Stamp) -> bool {
     let ((begin, last, anchor), (first, begins_at)) = (before, after);
@@ -104,7 +104,7 @@ fn flickers_at_rest(track: &JointTrack, index: usize, max_speed: f64) -> bool {
 
 /// How far a flickering encoder is from its mean at the most, radians or metres: a tenth of a degree.
 const FLICKER: f64 = 2e-3;
-/// Flicker hides a stand for less than this.
+/// Flicker hides a stationary interval for less than this.
 const FLICKER_TIME: Stamp = 400_000_000;
 
 /// Joint values that are the same posture for an encoder, radians or metres.
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn flicker_of_an_encoder_hides_no_stand() {
+    fn flicker_of_an_encoder_hides_no_stationary_interval() {
         // The track's second joint flickers by 1e-3 rad in all ways that encoders do, at several rates.
         let flickers: [(&str, fn(i64) -> f64); 6] = [
             ("two at rest, one up", |step| f64::from(step % 3 == 0)),
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn creeping_is_no_stand() {
+    fn creeping_is_not_stationary() {
         for speed in [0.02, 0.05] {
             let mut track = JointTrack::new(vec![true]);
             for step in 0..500 {
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_ends_a_stand_unless_the_arm_is_where_it_was() {
+    fn a_gap_ends_an_interval_unless_the_arm_is_where_it_was() {
         let mut parted = JointTrack::new(vec![true]);
         for step in 0..100 {
             parted.push(step * 10_000_000, &[0.0]);

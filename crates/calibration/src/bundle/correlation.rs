@@ -1,7 +1,7 @@
 //! Observations of one image whose errors are alike count for less than their number.
 //!
 //! Neighbouring depths of a stereo camera come from overlapping windows, features of several scales lie on one corner, corners of one board share
-//! its print: `n` observations with pairwise correlation `r` tell a smooth error no better than `n / (1 + (n - 1) r)` independent ones do (the design effect
+//! its print: `n` observations with pairwise correlation `r` determine a smooth error no better than `n / (1 + (n - 1) r)` independent ones do (the design effect
 //! of a cluster sample: Kish, "Survey Sampling", 1965, section 5.4). The correlation is measured as a function of the distance in the image, from what a fit
 //! left; each observation is then weighted by the inverse of the sum of its correlations with all others of its image and kind, itself included. For
 //! unknowns that change slowly over an image the inverse of the weighted normal matrix is their covariance. Sizes of single residuals, and with them
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 /// Upper ends of the distances that share one correlation, in parts of the image's width.
 const DISTANCES: [f64; 7] = [0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064];
 const BINS: usize = DISTANCES.len();
-/// Correlations of fewer pairs are not told from chance.
+/// Correlations of fewer pairs are not distinguished from chance.
 const MIN_PAIRS: f64 = 200.0;
 /// A correlation counts from so many of its standard errors on.
 const SIGNIFICANT: f64 = 4.0;

@@ -19,7 +19,7 @@ pub(super) struct UrdfJoint<'a> {
     pub(super) name: &'a str,
     pub(super) parent: &'a str,
     pub(super) child: &'a str,
-    /// `rpy` of the origin as it stands in the text, radians.
+    /// `rpy` of the origin as the text has it, radians.
     pub(super) angles: Vector3<f64>,
     /// `parent_from_child` at joint value 0.
     pub(super) origin: Isometry3,

@@ -32,8 +32,8 @@ fn refused(problem: impl Into<String>) -> KinematicsError {
 /// The file for a calibrated arm whose description `urdf` is one of `ur_description`: from its link `base_link` to
 /// `tip_link` the chain was `nominal` and is `calibrated`.
 ///
-/// The file ends at the link wrist_3. Where the calibrated flange stands otherwise on it than in the description, a
-/// comment at the head of the file gives the new transform. `hash`: with which the driver tells one arm from another.
+/// The file ends at the link wrist_3. Where the calibrated flange is placed otherwise on it than in the description, a
+/// comment at the head of the file gives the new transform. `hash`: with which the driver distinguishes arms.
 ///
 /// # Errors
 /// [`KinematicsError::Export`] with the reason if the description is not of these arms, does not begin at the maker's
@@ -143,7 +143,7 @@ fn check_description(urdf: &str, base_link: &str, tip_link: &str) -> Result<(), 
     let first = movable[0];
     if !first.parent.ends_with(BASE) {
         return Err(refused(format!(
-            "the driver hangs the first joint on {BASE}, which stands turned by 180 deg on base_link; in this URDF joint '{}' hangs on '{}', so that the file would turn the arm. Use the URDF of ur_description",
+            "the driver hangs the first joint on {BASE}, which is turned by 180 deg on base_link; in this URDF joint '{}' hangs on '{}', so that the file would turn the arm. Use the URDF of ur_description",
             first.name, first.parent
         )));
     }
@@ -204,7 +204,7 @@ fn nearest(angles: &Vector3<f64>, wanted: &Vector3<f64>) -> Vector3<f64> {
         |angles: Vector3<f64>| angles.zip_map(wanted, |angle, wanted| angle + TAU * ((wanted - angle) / TAU).round());
     let same = [turned(*angles), turned(Vector3::new(angles.x + PI, PI - angles.y, angles.z + PI))];
     let [a, b] = same;
-    // The text as it stands, where it is the nearest already.
+    // The text unchanged, where it is the nearest already.
     let chosen = if (b - wanted).norm() + 1e-9 < (a - wanted).norm() { b } else { a };
     chosen.map(rounded)
 }

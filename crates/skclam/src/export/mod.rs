@@ -38,7 +38,7 @@ pub struct ExportOptions {
     pub camera_frame: Option<String>,
     /// How the camera's driver names its frames.
     pub frames: Option<CameraFrames>,
-    /// Word that tells one arm's calibration from another's in `kinematics.yaml`.
+    /// Word that distinguishes one arm's calibration from another's in `kinematics.yaml`.
     pub hash: String,
 }
 

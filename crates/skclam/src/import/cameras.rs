@@ -23,7 +23,7 @@ pub(super) struct Cameras {
     pub kinds: BTreeMap<usize, ImageKind>,
 }
 
-/// Different `CameraInfo` of a topic that are told apart.
+/// Different `CameraInfo` of a topic that are distinguished.
 const MAX_INFOS: usize = 32;
 /// A second camera on a topic with more than this fraction of the messages is no accident.
 const ACCIDENT: f64 = 0.05;

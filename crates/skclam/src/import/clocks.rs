@@ -117,7 +117,7 @@ pub(super) fn choose_clock(
         let (stamp, log) = times.times[0];
         return Err(ImportError::Clocks {
             problem: format!(
-                "all {} messages of {} have one time ({:.3} s; their other time is {:.3} s), so nothing tells which joints belong to which image; give joints with times in a CSV with --joints",
+                "all {} messages of {} have one time ({:.3} s; their other time is {:.3} s), so nothing shows which joints belong to which image; give joints with times in a CSV with --joints",
                 times.times.len(),
                 times.what,
                 seconds(if clock == Clock::Header { stamp } else { log }),
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_stand_still_are_noticed() {
+    fn stamps_that_do_not_change_are_noticed() {
         let good = times(|t| t - S / 100);
         assert_eq!(chosen(&good, &good), Ok(Clock::Header));
         for frozen in

@@ -24,7 +24,7 @@ pub(super) struct FirstPass {
     pub warnings: Vec<String>,
 }
 
-/// An image's header, size and encoding stand within so many bytes.
+/// An image's header, size and encoding are within so many bytes.
 const HEAD_BYTES: usize = 1024;
 
 pub(super) fn first_pass(

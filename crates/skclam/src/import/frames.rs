@@ -4,7 +4,7 @@ use skclam_geometry::Isometry3;
 use skclam_recordings::{RecordingError, TransformStamped};
 use std::collections::BTreeMap;
 
-/// Where a frame stands in its parent.
+/// Pose of a frame in its parent.
 #[derive(Debug, Clone)]
 struct Edge {
     parent: String,

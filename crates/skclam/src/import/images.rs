@@ -5,7 +5,7 @@ use super::{Chosen, ImportError};
 use skclam_recordings::{Clock, ImageHead, ImageStamp, Place, Recording, RecordingError, Stamp, Topic};
 use std::collections::BTreeMap;
 
-/// Size, encoding and frame of images. For compressed ones the size is 0 x 0: it stands in the file.
+/// Size, encoding and frame of images. For compressed ones the size is 0 x 0: it is in the file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct ImageKind {
     pub encoding: String,
@@ -31,7 +31,7 @@ pub(super) struct ImageTopic {
 
 /// Images of a recording at the most, over all topics.
 const MAX_IMAGES: usize = 1 << 22;
-/// Kinds of images of a topic that are told apart.
+/// Kinds of images of a topic that are distinguished.
 const MAX_KINDS: usize = 64;
 /// More than this fraction of the images is no accident.
 const ACCIDENT: f64 = 0.05;

@@ -199,7 +199,7 @@ fn check_series(
 }
 
 impl ChosenJoints {
-    /// The times of each topic's joints; those of one message are the same, so that one joint stands for all beside it.
+    /// The times of each topic's joints; those of one message are the same, so that one joint represents all beside it.
     pub fn times(&self, collector: &JointCollector) -> Vec<Times> {
         let mut found: Vec<Times> = Vec::new();
         for place in &self.places {
@@ -262,7 +262,7 @@ impl ChosenJoints {
             .fold((0, 0), |best, now| if now.1 > best.1 { now } else { best });
         if merged.track.is_empty() {
             let problem = format!(
-                "the joints on {topic} have no time in common: joint \"{}\" is unknown at the times of the others (samples further apart than {} s tell nothing between them)",
+                "the joints on {topic} have no time in common: joint \"{}\" is unknown at the times of the others (samples further apart than {} s say nothing of the time between them)",
                 self.joints[worst], options.selection.max_gap_s
             );
             return Err(RecordingError::Joints { problem }.into());

@@ -78,7 +78,7 @@ pub struct ImportOptions {
     /// Intrinsics.
     pub cameras: CameraSource,
     /// Whether the rig is a built-in one: its arm may be that of the recording, its cameras are those of the virtual
-    /// cell and never stand in for real ones.
+    /// cell and never replace real ones.
     pub builtin_rig: bool,
     /// Which times pair images and joints.
     pub clock: ClockChoice,
@@ -192,7 +192,7 @@ fn plan(found: &mut FirstPass, timed: &Timed, options: &ImportOptions) -> Result
     enough(&plan, color_images.len(), &timed.track, options)?;
     if options.selection.selection == Selection::Automatic && plan.selection == Selection::Snapshots {
         found.warnings.push(
-            "joint states come too seldom to tell whether the arm moved; every image with joints beside it is taken"
+            "joint states come too seldom to know whether the arm moved; every image with joints beside it is taken"
                 .to_owned(),
         );
     }

@@ -38,7 +38,7 @@ fn import_measured(messages: &[Message], rig: &Rig, options: &ImportOptions) -> 
     let path = folder.path().join("a.mcap");
     std::fs::write(&path, mcap_of(messages)).unwrap();
     let (summary, dataset) = import_file(&path, rig, options)?;
-    assert_eq!((dataset.len(), dataset.rig.color.fx), (STANDS, 19.2));
+    assert_eq!((dataset.len(), dataset.rig.color.fx), (INTERVALS, 19.2));
     Ok(summary.warnings)
 }
 
@@ -47,7 +47,7 @@ fn is_right(name: &str, messages: &[Message]) {
     let (color, depth) = (dataset.rig.color, dataset.rig.depth.unwrap());
     assert_eq!((color.fx, color.cx, color.cy, color.width), (19.2, 7.5, 5.5, 16), "{name}");
     assert!((depth.camera.fx - 9.6).abs() < 1e-12 && depth.camera.height == 6, "{name}: {depth:?}");
-    assert_eq!(dataset.len(), STANDS, "{name}");
+    assert_eq!(dataset.len(), INTERVALS, "{name}");
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn models_that_cannot_be_read_are_taken_from_a_rig() {
         assert!(warnings.iter().any(|warning| warning.contains("[color] in the given rig")), "{warnings:?}");
         let options = ImportOptions { cameras: CameraSource::Rig, ..ImportOptions::default() };
         import_measured(&messages, &measured(), &options).unwrap();
-        // A rig for another size does not stand in.
+        // A rig for another size does not replace it.
         let mut other = measured();
         (other.color.width, other.color.height) = (32, 24);
         let error = import_measured(&messages, &other, &ImportOptions::default()).unwrap_err();
@@ -159,7 +159,7 @@ fn models_that_cannot_be_read_are_taken_from_a_rig() {
 }
 
 #[test]
-fn no_camera_of_the_virtual_cell_stands_in_for_a_real_one() {
+fn no_camera_of_the_virtual_cell_replaces_a_real_one() {
     // No transform between the cameras, one that leads elsewhere, one that nobody can read.
     let mut without = good(50.0);
     without.retain(|message| message.kind != TF);

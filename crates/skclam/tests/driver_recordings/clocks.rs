@@ -16,7 +16,7 @@ fn clock(clock: ClockChoice) -> ImportOptions {
 }
 
 #[test]
-fn stamps_that_stand_still_give_way_to_the_times_of_recording() {
+fn stamps_that_do_not_change_give_way_to_the_times_of_recording() {
     for (name, some) in SOME {
         for stamp in [0, 1, 5_000_000_000, ns(3.0)] {
             for first_is_other in [false, true] {
@@ -31,7 +31,7 @@ fn stamps_that_stand_still_give_way_to_the_times_of_recording() {
     // The arm's stamps are frozen and the recorder's too: nothing is left.
     let mut messages = good(50.0);
     messages.iter_mut().for_each(|message| (message.stamp, message.log) = (0, ns(0.0)));
-    refused("no times at all", &messages, &builtin(), &["nothing tells which joints belong to which image"]);
+    refused("no times at all", &messages, &builtin(), &["nothing shows which joints belong to which image"]);
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn a_few_stamps_of_zero_are_put_right() {
                 message.stamp = 0;
             }
             let (summary, dataset) = import_with(&messages, &builtin()).unwrap();
-            assert_eq!(dataset.len(), STANDS, "{name}: {:?}", summary.warnings);
+            assert_eq!(dataset.len(), INTERVALS, "{name}: {:?}", summary.warnings);
             assert!(error_of(&dataset) < 1e-3, "{name}");
         }
     }

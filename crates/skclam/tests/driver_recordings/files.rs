@@ -86,12 +86,12 @@ fn compressed_folders_and_files_are_read() {
         }
         for path in [folder.path().to_owned(), folder.path().join(name)] {
             let (_, dataset) = import_file(&path, &hp3j(), &builtin()).unwrap();
-            assert!(dataset.len() == STANDS && error_of(&dataset) < 1e-3);
+            assert!(dataset.len() == INTERVALS && error_of(&dataset) < 1e-3);
         }
         // Beside its unpacked copy, one of the two is read.
         std::fs::write(folder.path().join(name).with_extension(""), &bytes).unwrap();
         let (_, dataset) = import_file(folder.path(), &hp3j(), &builtin()).unwrap();
-        assert_eq!(dataset.len(), STANDS);
+        assert_eq!(dataset.len(), INTERVALS);
     }
     // Parts in the order of their numbers.
     let (first, second): (Vec<Message>, Vec<Message>) =
@@ -101,7 +101,7 @@ fn compressed_folders_and_files_are_read() {
         assert!(compressed(&mcap_of(messages), &folder.path().join(format!("rec_{part}.mcap.zstd"))));
     }
     let (_, dataset) = import_file(folder.path(), &hp3j(), &builtin()).unwrap();
-    assert_eq!(dataset.len(), STANDS);
+    assert_eq!(dataset.len(), INTERVALS);
 }
 
 #[test]
@@ -116,16 +116,16 @@ fn files_cut_off_by_a_crash_are_read_up_to_the_cut() {
             match import_file(&path, &hp3j(), &builtin()) {
                 Ok((summary, dataset)) => {
                     assert!(error_of(&dataset) < 1e-3 && dataset.len() >= before, "{percent} %");
-                    let told = summary.warnings.iter().any(|warning| warning.contains("was not closed"));
+                    let reported = summary.warnings.iter().any(|warning| warning.contains("was not closed"));
                     // At the very end the index alone is missing, of which nothing is read.
-                    assert!(told || percent >= 95, "{percent} %: {:?}", summary.warnings);
+                    assert!(reported || percent >= 95, "{percent} %: {:?}", summary.warnings);
                     (before, read) = (dataset.len(), read + 1);
                 }
                 Err(error) => assert!(percent < 50 && error.contains("was not closed"), "{percent} %: {error}"),
             }
         }
     }
-    assert!(before == STANDS && read > 20, "{before}, {read}");
+    assert!(before == INTERVALS && read > 20, "{before}, {read}");
 }
 
 #[test]

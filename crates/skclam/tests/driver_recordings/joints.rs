@@ -114,7 +114,7 @@ fn what_is_not_used_is_not_validated() {
 }
 
 #[test]
-fn bad_values_are_passed_over_and_counted_wherever_they_stand() {
+fn bad_values_are_passed_over_and_counted_wherever_they_are() {
     for (first, count) in [(0, 1), (0, 3), (0, 40), (200, 5), (690, 10), (350, 20)] {
         for value in [f64::NAN, f64::INFINITY] {
             let mut messages = good(50.0);
@@ -208,7 +208,7 @@ fn names_that_are_given_name_nameless_positions() {
 }
 
 #[test]
-fn a_name_that_stands_twice_is_taken_once_or_refused() {
+fn a_name_that_is_given_twice_is_taken_once_or_refused() {
     for (joint, at) in [(0, 0), (0, 6), (2, 3), (5, 1), (3, 4)] {
         for options in [builtin(), with_names(&ARM)] {
             let twice = |offset: f64| {
@@ -284,7 +284,7 @@ fn a_lone_wrong_value_is_no_second_publisher() {
 }
 
 #[test]
-fn flicker_of_an_encoder_hides_no_stand() {
+fn flicker_of_an_encoder_hides_no_stationary_interval() {
     for amplitude in [2e-4, 5e-4, 1e-3] {
         for (rate, period) in [(50.0, 2), (50.0, 5), (125.0, 7), (250.0, 11)] {
             let mut messages = good(rate);
@@ -297,7 +297,7 @@ fn flicker_of_an_encoder_hides_no_stand() {
             let name = format!("{amplitude} rad, {rate} Hz, {period}");
             let (summary, dataset) =
                 import_with(&messages, &builtin()).unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert_eq!(dataset.len(), STANDS, "{name}: {:?}", summary.warnings);
+            assert_eq!(dataset.len(), INTERVALS, "{name}: {:?}", summary.warnings);
             assert!(error_of(&dataset) < 2.5 * amplitude, "{name}");
         }
     }

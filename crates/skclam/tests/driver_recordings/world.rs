@@ -14,7 +14,7 @@ pub const JOINTS: &str = "sensor_msgs/msg/JointState";
 pub const IMAGE: &str = "sensor_msgs/msg/Image";
 pub const INFO: &str = "sensor_msgs/msg/CameraInfo";
 pub const TF: &str = "tf2_msgs/msg/TFMessage";
-pub const STANDS: usize = 5;
+pub const INTERVALS: usize = 5;
 
 /// What a message says.
 #[derive(Debug, Clone)]
@@ -47,12 +47,12 @@ pub struct Message {
     pub content: Content,
 }
 
-/// The values of the arm at a time: stands of 2 s, drives of 1 s.
+/// The values of the arm at a time: rests of 2 s, drives of 1 s.
 pub fn arm_at(seconds: f64) -> Vec<f64> {
-    let stand = (seconds / 3.0).floor().clamp(0.0, (STANDS - 1) as f64);
-    let fraction = (seconds - 3.0 * stand - 2.0).clamp(0.0, 1.0);
-    let fraction = if stand as usize == STANDS - 1 { 0.0 } else { fraction };
-    (0..6).map(|joint| 0.2 + 0.1 * joint as f64 + 0.15 * (stand + fraction) * (1.0 + 0.1 * joint as f64)).collect()
+    let rest = (seconds / 3.0).floor().clamp(0.0, (INTERVALS - 1) as f64);
+    let fraction = (seconds - 3.0 * rest - 2.0).clamp(0.0, 1.0);
+    let fraction = if rest as usize == INTERVALS - 1 { 0.0 } else { fraction };
+    (0..6).map(|joint| 0.2 + 0.1 * joint as f64 + 0.15 * (rest + fraction) * (1.0 + 0.1 * joint as f64)).collect()
 }
 
 pub const COLOR_FRAME: &str = "camera_color_optical_frame";
@@ -88,7 +88,7 @@ pub fn joints(seconds: f64, names: &[&str], positions: Vec<f64>) -> Message {
 
 /// A good recording: joints at `rate` Hz, ten images of each camera a second, their CameraInfo, the transform between.
 pub fn good(rate: f64) -> Vec<Message> {
-    let end = 3.0 * STANDS as f64 - 1.0;
+    let end = 3.0 * INTERVALS as f64 - 1.0;
     let message = |topic: &str, kind, seconds: f64, lag: i64, content| Message {
         topic: topic.to_owned(),
         kind,
@@ -260,10 +260,10 @@ pub fn error_of(dataset: &Dataset) -> f64 {
     most
 }
 
-/// Asks that an import gives every stand, at the right joints, and warns with these words.
+/// Asks that an import gives every stationary interval, at the right joints, and warns with these words.
 pub fn right(name: &str, messages: &[Message], options: &ImportOptions, words: &[&str]) -> Dataset {
     let (summary, dataset) = import_with(messages, options).unwrap_or_else(|error| panic!("{name}: {error}"));
-    assert_eq!(dataset.len(), STANDS, "{name}: {:?}", summary.warnings);
+    assert_eq!(dataset.len(), INTERVALS, "{name}: {:?}", summary.warnings);
     let off = error_of(&dataset);
     assert!(off < 1e-3, "{name}: joints are off by {off}");
     let warnings = summary.warnings.join("\n");

@@ -22,7 +22,7 @@ pub enum PoseNotation {
     Kuka,
     /// X Y Z W P R: turns about the fixed x, y, z.
     Fanuc,
-    /// X Y Z q1 q2 q3 q4: a quaternion whose real part stands first.
+    /// X Y Z q1 q2 q3 q4: a quaternion whose real part is first.
     Abb,
     /// X Y Z Rx Ry Rz: the axis of rotation, as long as the angle; metres and radians unless said otherwise.
     Ur,
