@@ -23,7 +23,6 @@ fn strict(text: &str) -> jsonschema::Validator {
         }
     }
     let mut schema: Value = serde_json::from_str(text).unwrap();
-    // Properties of that name are schemas of their own and never a list of keys.
     close(&mut schema);
     jsonschema::validator_for(&schema).unwrap()
 }
