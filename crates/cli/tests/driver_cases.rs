@@ -42,7 +42,7 @@ fn kinematics_yaml_is_in_the_makers_frames() {
         for (link, key, wanted) in [
             ("shoulder", "z", 0.1625),
             ("upper_arm", "y", 0.0),
-            ("upper_arm", "roll", 1.570796327),
+            ("upper_arm", "roll", std::f64::consts::FRAC_PI_2),
             ("forearm", "x", -0.425),
             ("forearm", "yaw", 0.0),
             ("wrist_1", "x", -0.3922),

@@ -109,7 +109,7 @@ fn chunk(
         }
     };
     match compression {
-        None if size != length => return Err(format!("a chunk of {length} bytes says it has {size}").into()),
+        None if size != length => Err(format!("a chunk of {length} bytes says it has {size}").into()),
         None => records(&mut body, size, place, connections, visitor),
         Some(compression) => {
             visitor.budget.earn(length);

@@ -141,8 +141,10 @@ mod tests {
             series(|_| vec![]).iter().map(|&(time, value)| (time / (100 * MS) * 100 * MS, value)).collect();
         assert_eq!(find_jumps(&bursts, true), Jumps::None);
         // Full turns are none.
-        let turned: Vec<(Stamp, f64)> =
-            series(|_| vec![]).iter().map(|&(time, v)| (time, v + if v > 1.0 { 6.283185307 } else { 0.0 })).collect();
+        let turned: Vec<(Stamp, f64)> = series(|_| vec![])
+            .iter()
+            .map(|&(time, v)| (time, v + if v > 1.0 { std::f64::consts::TAU } else { 0.0 }))
+            .collect();
         assert_eq!(find_jumps(&turned, true), Jumps::None);
         // From posture to posture and home again, one value each.
         let snapshots: Vec<(Stamp, f64)> =

@@ -177,7 +177,8 @@ mod tests {
     #[test]
     fn flicker_of_an_encoder_hides_no_stationary_interval() {
         // The track's second joint flickers by 1e-3 rad in all ways that encoders do, at several rates.
-        let flickers: [(&str, fn(i64) -> f64); 6] = [
+        type Flicker = (&'static str, fn(i64) -> f64);
+        let flickers: [Flicker; 6] = [
             ("two at rest, one up", |step| f64::from(step % 3 == 0)),
             ("every sample", |step| (step % 2) as f64),
             ("blocks of three", |step| (step / 3 % 2) as f64),

@@ -21,7 +21,7 @@ pub const INTERVALS: usize = 5;
 pub enum Content {
     Joints { names: Vec<String>, positions: Vec<f64> },
     Image { frame: String, encoding: &'static str, size: (u32, u32) },
-    Info(Info),
+    Info(Box<Info>),
     Tf { parent: String, child: String, pose: [f64; 7] },
     Bytes(Vec<u8>),
 }
@@ -112,7 +112,7 @@ pub fn good(rate: f64) -> Vec<Message> {
         for (camera, image, frame, encoding, size) in cameras {
             let content = Content::Image { frame: frame.to_owned(), encoding, size };
             all.push(message(&format!("/camera/{camera}/{image}"), IMAGE, seconds, 3_000_000, content));
-            let content = Content::Info(info(frame, size));
+            let content = Content::Info(Box::new(info(frame, size)));
             all.push(message(&format!("/camera/{camera}/camera_info"), INFO, seconds, 3_000_000, content));
         }
     }
