@@ -329,7 +329,7 @@ mod tests {
             ("index,q1_deg,colour\n".to_owned(), "unknown column \"colour\""),
             ("index,q1_deg,q3_deg,color\n".to_owned(), "q1 to q2"),
             ("index,q1_deg,q1_rad,color\n".to_owned(), "each once"),
-            ("index,q1_deg,x_mm,color\n".to_owned(), "side by side"),
+            ("index,q1_deg,x_mm,color\n".to_owned(), "both given"),
             ("index,x_mm,y_mm,color\n".to_owned(), "a flange pose needs all of"),
             ("index,color\n".to_owned(), "neither joint columns"),
             ("index,q1_deg,q1_deg,color\n".to_owned(), "duplicate column"),
