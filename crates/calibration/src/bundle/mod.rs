@@ -7,6 +7,7 @@
 
 mod adjust;
 mod causes;
+mod conclusion;
 mod correlation;
 mod expected;
 mod noise;
@@ -20,6 +21,7 @@ mod projection_model;
 mod random_effects;
 mod reduced;
 mod residuals;
+mod rounds;
 mod ruler;
 mod solve;
 mod start;
