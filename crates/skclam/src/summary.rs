@@ -6,7 +6,8 @@ use crate::pipeline::{
 };
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{
-    Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit,
+    Calibration, EpipolarStatistics, ParameterEstimate, ReprojectionStatistics, Termination, Unit, UnobservableCause,
+    UnobservableDirection,
 };
 use skclam_features::MatchCounts;
 
@@ -131,8 +132,8 @@ pub struct CalibrationSummary {
     pub condition_number: Option<f64>,
     /// Observability indices O1 to O5.
     pub observability: Option<[f64; 5]>,
-    /// What is not identifiable, and why, in words.
-    pub not_identifiable: Vec<String>,
+    /// What is not identifiable, and why.
+    pub not_identifiable: Vec<NotIdentifiable>,
     /// By how much pixels scatter more than their own sigmas say; px where these are 1 (board corners, features that
     /// were not refined).
     pub pixel_sigma: f64,
@@ -218,6 +219,21 @@ impl ParameterSummary {
     }
 }
 
+/// A combination of parameters that the data do not determine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NotIdentifiable {
+    /// Why.
+    pub cause: UnobservableCause,
+    /// Which parameters, and why, in words.
+    pub text: String,
+}
+
+impl NotIdentifiable {
+    fn of(direction: &UnobservableDirection) -> Self {
+        NotIdentifiable { cause: direction.cause, text: direction.reason.clone() }
+    }
+}
+
 impl CalibrationSummary {
     /// Of a calibration.
     pub fn of(calibration: &Calibration, arm: bool) -> Self {
@@ -234,7 +250,7 @@ impl CalibrationSummary {
             condition_number: identifiability.map(|found| found.condition_number).filter(|number| number.is_finite()),
             observability: identifiability.map(|found| found.observability),
             not_identifiable: identifiability
-                .map(|found| found.unobservable.iter().map(|direction| direction.reason.clone()).collect())
+                .map(|found| found.unobservable.iter().map(NotIdentifiable::of).collect())
                 .unwrap_or_default(),
             pixel_sigma: calibration.noise.pixel,
             depth_sigma_per_m2: calibration.noise.depth_sigma_per_m2,

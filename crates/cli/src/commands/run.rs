@@ -222,8 +222,8 @@ pub fn show(summary: &Summary) {
             say!("Held, not identifiable: base about and along axis 1; flange about and along the last");
         }
     }
-    for reason in &calibration.not_identifiable {
-        say!("  not identifiable: {reason}");
+    for combination in &calibration.not_identifiable {
+        say!("  not identifiable: {}", combination.text);
     }
     if let Some(map) = &summary.map {
         say!("Map: {} points", map.points);

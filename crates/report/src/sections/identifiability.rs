@@ -4,7 +4,10 @@ use crate::RunResult;
 use crate::charts::{Digits, Numbers};
 use crate::html::{escaped, table};
 use crate::page::Section;
+use serde::Deserialize as _;
 use serde_json::Value;
+use skclam::calibration::UnobservableCause;
+use skclam::summary::NotIdentifiable;
 
 pub(crate) fn section(run: &RunResult) -> Section {
     let numbers = Numbers::of(run);
@@ -22,8 +25,8 @@ pub(crate) fn section(run: &RunResult) -> Section {
         let reasons: Vec<Vec<String>> = run
             .list("/calibration/not_identifiable")
             .iter()
-            .filter_map(|reason| reason.as_str())
-            .map(|reason| vec![escaped(reason), escaped(&advice(reason))])
+            .filter_map(|found| NotIdentifiable::deserialize(found).ok())
+            .map(|found| vec![escaped(&found.text), escaped(advice(found.cause))])
             .collect();
         html += &if reasons.is_empty() {
             "<p>All free parameters are identifiable.</p>\n".to_owned()
@@ -49,40 +52,24 @@ const GAUGE: &str = "<p>Held at nominal, because not identifiable from images: w
      shifted along the last axis, which is one with the mount. Camera poses and the map do not depend on the second; the flange's poses, an exported tool frame \
      and compensated targets are only as right as the nominal values there. Measure them by other means if they matter.</p>\n";
 
-/// What to record, or to give, so that it becomes identifiable. The sentences of the estimator name the cause.
-fn advice(reason: &str) -> String {
-    let advice = if reason.contains("moves the base") {
-        "No recording of the camera determines it; measure the base's place by other means, or leave it."
-    } else if reason.contains("are one ") && reason.contains("mount") {
-        "Nothing to record: only the sum of both matters. Hold one of the two (--free without it)."
-    } else if reason.contains("scale is not observable") {
-        "Give one known length: depth images, or a board in the rig file; or hold the depth's scale."
-    } else if reason.contains("parallel axes") {
-        "Nothing to record: hold one of the two, the other takes the sum."
-    } else if reason.contains("moved by only") {
-        "Record postures in which this joint turns by 60 deg or more, in both directions, with the others moving as well."
-    } else {
-        "Record more postures that differ in the wrist's orientation and in reach, that look at the same scene from other sides."
-    };
-    advice.to_owned()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_cause_has_its_advice() {
-        // The sentences of skclam-calibration's identifiability.
-        let of = |text: &str| advice(text);
-        assert!(
-            of("theta_offset_1 moves the base and the whole world with it: not identifiable from images")
-                .contains("other means")
-        );
-        assert!(of("d_6 and the mount (mount_z) are one length").contains("the sum"));
-        assert!(of("the scale is not observable: no depth, no board, no fixed length; ...").contains("known length"));
-        assert!(of("joint 3 moved by only 2.0 deg: alpha_3 cannot be separated").contains("this joint turns"));
-        assert!(of("d_2 and d_3 lie along parallel axes: they are one length").contains("hold one"));
-        assert!(of("the postures do not separate a_2, a_3").contains("more postures"));
+/// What to record, or to give, so that it becomes identifiable.
+fn advice(cause: UnobservableCause) -> &'static str {
+    match cause {
+        UnobservableCause::BaseGauge => {
+            "No recording of the camera determines it; measure the base's place by other means, or leave it."
+        }
+        UnobservableCause::ToolGauge => {
+            "Nothing to record: only the sum of both matters. Hold one of the two (--free without it)."
+        }
+        UnobservableCause::Scale => {
+            "Give one known length: depth images, or a board in the rig file; or hold the depth's scale."
+        }
+        UnobservableCause::ParallelAxes => "Nothing to record: hold one of the two, the other takes the sum.",
+        UnobservableCause::InsufficientExcitation => {
+            "Record postures in which this joint turns by 60 deg or more, in both directions, with the others moving as well."
+        }
+        _ => {
+            "Record more postures that differ in the wrist's orientation and in reach, that look at the same scene from other sides."
+        }
     }
 }
