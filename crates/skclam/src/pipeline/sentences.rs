@@ -55,7 +55,15 @@ pub fn verdict_sentence(case: &VerdictCase) -> String {
             "The calibrated rig is better on held-out postures ({}), but how far off the camera still is was not estimated.",
             held_out_text(held_out_px)
         ),
-        VerdictCase::SigmaAboveChange { error } => format!(
+        VerdictCase::SigmaAboveChange { error, undetermined } if !undetermined.is_empty() => format!(
+            "The camera's position stays uncertain by {} mm, no less than before (one sigma, over your postures{}): {}. What these images determine was corrected by {} mm. \
+             Record postures that differ there, if the arm can take them, or measure it by other means.",
+            short(error.sigma_mm),
+            base_text(error),
+            undetermined.join("; "),
+            short(error.change_mm)
+        ),
+        VerdictCase::SigmaAboveChange { error, .. } => format!(
             "Do not use this calibration yet: it moves the camera by {} mm, and is itself uncertain by {} mm (one sigma, over your postures{}). More, \
              or more diverse, postures are needed.",
             short(error.change_mm),

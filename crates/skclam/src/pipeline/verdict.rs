@@ -3,7 +3,7 @@
 
 use super::{Cause, HeldOutSummary, RegisteredError};
 use serde::{Deserialize, Serialize};
-use skclam_calibration::{Calibration, Rigs};
+use skclam_calibration::{Calibration, Rigs, UnobservableCause, UnobservableDirection};
 
 /// What a result is good for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -36,6 +36,9 @@ pub struct Evidence {
     pub sigma_checked: bool,
     /// Whether the arm could be calibrated; with flange poses alone it cannot.
     pub arm: bool,
+    /// Combinations of parameters that move the camera and that the postures do not determine, in words. The gauges of
+    /// base and tool are not among them.
+    pub undetermined: Vec<String>,
 }
 
 /// What was found, as one of few cases.
@@ -82,6 +85,8 @@ pub enum VerdictCase {
     SigmaAboveChange {
         /// Position error of the camera.
         error: RegisteredError,
+        /// See [`Evidence::undetermined`].
+        undetermined: Vec<String>,
     },
     /// Better, with something that does not fit and has a name.
     BetterWithCause {
@@ -131,6 +136,7 @@ impl Evidence {
             error,
             sigma_checked: held_out.is_some_and(|held_out| held_out.jackknife.is_some()),
             arm,
+            undetermined: undetermined(calibration),
         }
     }
 
@@ -166,7 +172,7 @@ impl Evidence {
         }
         let Some(error) = self.error else { return VerdictCase::NoSigma { held_out_px } };
         if error.sigma_mm > error.change_mm {
-            return VerdictCase::SigmaAboveChange { error };
+            return VerdictCase::SigmaAboveChange { error, undetermined: self.undetermined.clone() };
         }
         match cause {
             Some(cause) if cause.status() != Status::Good => {
@@ -176,6 +182,13 @@ impl Evidence {
             _ => VerdictCase::Better { error, held_out_px },
         }
     }
+}
+
+fn undetermined(calibration: &Calibration) -> Vec<String> {
+    let gauge = |cause| matches!(cause, UnobservableCause::BaseGauge | UnobservableCause::ToolGauge);
+    let moves = |direction: &UnobservableDirection| direction.combination.iter().any(|(p, _)| p.moves_camera());
+    let found = calibration.identifiability.iter().flat_map(|identifiability| &identifiability.unobservable);
+    found.filter(|one| !gauge(one.cause) && moves(one)).map(|one| one.reason.clone()).collect()
 }
 
 impl VerdictCase {
@@ -216,6 +229,7 @@ mod tests {
             held_out_px: Some(rigs(9.0, 5.0, 0.6)),
             error: Some(error),
             sigma_checked: true,
+            undetermined: Vec::new(),
             arm: true,
         }
     }
@@ -271,6 +285,14 @@ mod tests {
             ),
             ("no sigma", Evidence { error: None, ..good() }, None, Caution, "not estimated", "fell"),
             ("sigma above change", Evidence { error: error(0.3, 0.5), ..good() }, None, Caution, "Do not use", "fell"),
+            (
+                "not determined",
+                Evidence { error: error(0.3, 0.5), undetermined: vec!["mount_z".to_owned()], ..good() },
+                None,
+                Caution,
+                "no less than before",
+                "fell",
+            ),
             ("unchecked", Evidence { sigma_checked: false, ..good() }, None, Caution, "too few", "NOT"),
             ("cause", good(), Some(&cause), Caution, "focal length", "DO NOT"),
             (
