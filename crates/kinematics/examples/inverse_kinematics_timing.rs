@@ -21,7 +21,7 @@ impl Draws {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/hp3-like.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rig/robots/hp3-like.toml");
     let nominal = skclam_rig::Rig::read(file)?.robot.ok_or("the rig has no [robot]")?;
     let mut draws = Draws(1);
     let mut real: SerialChain = nominal.clone();

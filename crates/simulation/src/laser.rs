@@ -159,7 +159,7 @@ mod tests {
     use skclam_rig::Rig;
 
     fn chains() -> (SerialChain, SerialChain) {
-        let nominal = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let nominal = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../rig/robots/hp3j.toml")).unwrap();
         let truth = perturb_paper(&nominal).unwrap();
         (nominal.robot.unwrap(), truth.robot.unwrap())
     }

@@ -7,7 +7,7 @@ use skclam_rig::Rig;
 use skclam_simulation::{ArmBody, PaperView, RayCaster, paper_parameters, paper_postures, perturb_paper};
 
 fn hp3j() -> Rig {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../rig/robots/hp3j.toml");
     Rig::read(path).expect("the built-in robot can be read")
 }
 
