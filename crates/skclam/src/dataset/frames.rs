@@ -39,7 +39,7 @@ impl From<Vec<Frame>> for Frames {
     }
 }
 
-/// Stands in for the folder in messages and reports.
+/// In the place of a folder in messages and reports.
 const PLACE: &str = "images in memory";
 
 /// The images by the names that records and rig have for them.
