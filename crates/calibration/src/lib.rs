@@ -3,6 +3,8 @@
 //! Three estimators of the same [`Model`], from the paper's own to the one that reaches the Cramer-Rao bound. All of
 //! them free an explicit, ordered list of [`Parameter`]s, say how they ended ([`Termination`]) and what the data do not
 //! determine. This crate knows pixels, postures and rigs; it knows no images, no files, no map and no simulation.
+//!
+#![doc = include_str!("../README.md")]
 
 mod board;
 mod bundle;

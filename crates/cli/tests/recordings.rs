@@ -52,7 +52,7 @@ fn tum_folder(dataset: &Dataset, folder: &Path) {
         .collect();
     for (index, record) in dataset.records.iter().enumerate() {
         dataset.color(index).unwrap().save(folder.join(format!("rgb/{index}.png"))).unwrap();
-        let depth_file = dataset.folder.join(record.depth.as_ref().unwrap());
+        let depth_file = dataset.path_of(record.depth.as_ref().unwrap());
         fs::copy(depth_file, folder.join(format!("depth/{index}.png"))).unwrap();
         for at in [1.0, 1.5, 2.0] {
             let seconds = 4.0 * index as f64 + at;

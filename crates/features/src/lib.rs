@@ -2,6 +2,8 @@
 //!
 //! This crate knows images and matrices, and nothing of robots or poses: a predicted epipolar
 //! geometry comes in as a fundamental matrix.
+//!
+#![doc = include_str!("../README.md")]
 
 pub mod akaze;
 pub mod board;

@@ -7,6 +7,8 @@
 //!   are not of one piece.
 //!
 //! It knows no robots, images or formats.
+//!
+#![doc = include_str!("../README.md")]
 
 mod manifest;
 mod names;

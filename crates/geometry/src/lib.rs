@@ -3,6 +3,8 @@
 //! This crate knows rays, pixels and rigid transforms, and nothing of robots or of what an image shows.
 //! Transforms are named `a_from_b`, camera axes are x right, y down, z forward, and pixel (0, 0) is the
 //! *centre* of the top-left pixel. Lengths are metres, angles radians.
+//!
+#![doc = include_str!("../README.md")]
 
 mod camera;
 mod depth;

@@ -7,7 +7,6 @@ use skclam_kinematics::{
     RefinementOptions, SerialChain, Termination, refine_inverse_kinematics, spherical_wrist_solutions,
 };
 use std::hint::black_box;
-use std::path::Path;
 use std::time::Instant;
 
 /// Numbers in [-1, 1) from a linear congruential generator (Knuth's MMIX constants).
@@ -21,8 +20,8 @@ impl Draws {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/hp3-like.toml");
-    let nominal = skclam_rig::Rig::read(file)?.robot.ok_or("the rig has no [robot]")?;
+    let nominal =
+        skclam_rig::builtin_rig("hp3-like").ok_or("a built-in robot")??.robot.ok_or("the rig has no [robot]")?;
     let mut draws = Draws(1);
     let mut real: SerialChain = nominal.clone();
     for id in nominal.parameter_ids() {

@@ -1,6 +1,8 @@
 //! Serial chains in Denavit-Hartenberg and Hayati form: forward kinematics, Jacobians, inverse kinematics, URDF.
 //!
 //! This crate knows axes and joint values, and nothing of cameras or images. Metres and radians.
+//!
+#![doc = include_str!("../README.md")]
 
 #[cfg(test)]
 mod arms;

@@ -1,4 +1,4 @@
-//! The arms in `robots/` against published descriptions of the same arms.
+//! The arms in `crates/rig/robots/` against published descriptions of the same arms.
 //!
 //! The tables below are the joint origins and axes of public URDFs (facts; sources are named in the rig files), typed
 //! in as URDF has them. Forward kinematics by URDF's definition must be those of the rig file, at zero and elsewhere.
@@ -175,7 +175,7 @@ const PUBLISHED: &[Published] = &[
 ];
 
 fn robots() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots"))
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../rig/robots"))
 }
 
 fn rig(file: &str) -> Rig {

@@ -12,6 +12,8 @@
 //! - [`render`] draws a map without a window;
 //! - [`write_ply`] and [`read_ply`] carry clouds and meshes to and from files; [`write_obj`], [`write_glb`],
 //!   [`write_stl`] and [`write_pcd`] to other tools; [`decimate`] makes a mesh small enough for planners.
+//!
+#![doc = include_str!("../README.md")]
 
 mod bodies;
 mod cloud;

@@ -9,6 +9,8 @@
 //! published readers of these formats map whole files into memory or allocate what a length field says, hence ours.
 //!
 //! This crate knows joints by name and cameras by their intrinsics. It knows no estimator, no features and no map.
+//!
+#![doc = include_str!("../README.md")]
 
 mod bag;
 mod budget;

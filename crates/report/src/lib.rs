@@ -7,6 +7,8 @@
 //!
 //! Text from outside (names of rigs, paths, warnings) is escaped on its way into the page, and the page forbids itself
 //! every request by its content security policy.
+//!
+#![doc = include_str!("../README.md")]
 
 pub mod charts;
 mod compare;

@@ -4,19 +4,19 @@ use crate::{Rig, RigFileError};
 
 /// Name and text of each rig. The names are those of the files.
 const RIGS: [(&str, &str); 13] = [
-    ("abb-irb120", include_str!("../../../robots/abb-irb120.toml")),
-    ("abb-irb1600-6-120", include_str!("../../../robots/abb-irb1600-6-120.toml")),
-    ("fanuc-lrmate-200id", include_str!("../../../robots/fanuc-lrmate-200id.toml")),
-    ("franka-fr3", include_str!("../../../robots/franka-fr3.toml")),
-    ("hp3-like", include_str!("../../../robots/hp3-like.toml")),
-    ("hp3j", include_str!("../../../robots/hp3j.toml")),
-    ("kuka-kr6-r900", include_str!("../../../robots/kuka-kr6-r900.toml")),
-    ("staubli-tx2-60", include_str!("../../../robots/staubli-tx2-60.toml")),
-    ("ur10e", include_str!("../../../robots/ur10e.toml")),
-    ("ur16e", include_str!("../../../robots/ur16e.toml")),
-    ("ur3e", include_str!("../../../robots/ur3e.toml")),
-    ("ur5e", include_str!("../../../robots/ur5e.toml")),
-    ("yaskawa-gp7", include_str!("../../../robots/yaskawa-gp7.toml")),
+    ("abb-irb120", include_str!("../robots/abb-irb120.toml")),
+    ("abb-irb1600-6-120", include_str!("../robots/abb-irb1600-6-120.toml")),
+    ("fanuc-lrmate-200id", include_str!("../robots/fanuc-lrmate-200id.toml")),
+    ("franka-fr3", include_str!("../robots/franka-fr3.toml")),
+    ("hp3-like", include_str!("../robots/hp3-like.toml")),
+    ("hp3j", include_str!("../robots/hp3j.toml")),
+    ("kuka-kr6-r900", include_str!("../robots/kuka-kr6-r900.toml")),
+    ("staubli-tx2-60", include_str!("../robots/staubli-tx2-60.toml")),
+    ("ur10e", include_str!("../robots/ur10e.toml")),
+    ("ur16e", include_str!("../robots/ur16e.toml")),
+    ("ur3e", include_str!("../robots/ur3e.toml")),
+    ("ur5e", include_str!("../robots/ur5e.toml")),
+    ("yaskawa-gp7", include_str!("../robots/yaskawa-gp7.toml")),
 ];
 
 /// The names that [`builtin_rig`] knows.

@@ -2,6 +2,8 @@
 //!
 //! "The rig" is [`Rig`]: the nominal one that comes in, the true one of a simulation, the
 //! calibrated one that goes out. This crate knows no image content, no estimator and no scene.
+//!
+#![doc = include_str!("../README.md")]
 
 mod board;
 mod builtin;

@@ -1,5 +1,5 @@
 //! Simulates a data set's first images, shows the cell from outside, and says how long it took: `cargo run --release -p
-//! skclam-simulation --example preview -- robots/hp3j.toml DIR [POSTURES] [STEP] [paper|diverse]`.
+//! skclam-simulation --example preview -- crates/rig/robots/hp3j.toml DIR [POSTURES] [STEP] [paper|diverse]`.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};

@@ -1,5 +1,5 @@
 //! Draws the paper's 73 colour and depth images without writing them and says how long it took:
-//! `cargo run --release -p skclam-simulation --example simulation_timing -- robots/hp3j.toml [noise]`.
+//! `cargo run --release -p skclam-simulation --example simulation_timing -- crates/rig/robots/hp3j.toml [noise]`.
 
 use skclam_rig::Rig;
 use skclam_simulation::{ColorNoiseOptions, Simulation, SimulationConfig};

@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn the_body_follows_forward_kinematics() {
-        let rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let rig = skclam_rig::builtin_rig("hp3j").unwrap().unwrap();
         let body = ArmBody::new(&rig, 1, 0.01).unwrap();
         let joints = [0.5, -0.3, 0.8, 1.0, -0.7, 0.2];
         let model = body.model_at(&joints).unwrap();

@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn diverse_postures_are_within_limits_apart_and_repeat() {
-        let rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let rig = skclam_rig::builtin_rig("hp3j").unwrap().unwrap();
         let scene = Scene::new(&SceneOptions { texel_at_1m_mm: Some(20.0), ..Default::default() }, 300.0).unwrap();
         let options = DiverseOptions { count: 12, ..Default::default() };
         let postures = diverse_postures(&rig, &scene, &options).unwrap();

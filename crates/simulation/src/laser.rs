@@ -156,10 +156,9 @@ fn standard_deviation(readings: &[Vector3<f64>]) -> [f64; 3] {
 mod tests {
     use super::*;
     use crate::perturb_paper;
-    use skclam_rig::Rig;
 
     fn chains() -> (SerialChain, SerialChain) {
-        let nominal = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let nominal = skclam_rig::builtin_rig("hp3j").unwrap().unwrap();
         let truth = perturb_paper(&nominal).unwrap();
         (nominal.robot.unwrap(), truth.robot.unwrap())
     }

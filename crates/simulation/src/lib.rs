@@ -4,6 +4,8 @@
 //! of the estimator that is to be tested with its images, and it writes no files. Start at [`Simulation`].
 //!
 //! Everything is drawn from seeds: the same configuration gives the same bytes, on any number of threads.
+//!
+#![doc = include_str!("../README.md")]
 
 mod arm_body;
 mod diverse_postures;

@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     fn hp3j() -> Rig {
-        Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap()
+        skclam_rig::builtin_rig("hp3j").unwrap().unwrap()
     }
 
     #[test]

@@ -213,7 +213,7 @@ mod tests {
     use skclam_geometry::{DepthCamera, Pixel, Point3};
 
     fn small_rig() -> Rig {
-        let mut rig = Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml")).unwrap();
+        let mut rig = skclam_rig::builtin_rig("hp3j").unwrap().unwrap();
         rig.color = rig.color.scaled(0.125);
         rig.depth = rig.depth.map(|depth| DepthCamera { camera: depth.camera.scaled(0.25), ..depth });
         rig

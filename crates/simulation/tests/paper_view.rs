@@ -7,8 +7,7 @@ use skclam_rig::Rig;
 use skclam_simulation::{ArmBody, PaperView, RayCaster, paper_parameters, paper_postures, perturb_paper};
 
 fn hp3j() -> Rig {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/hp3j.toml");
-    Rig::read(path).expect("the built-in robot can be read")
+    skclam_rig::builtin_rig("hp3j").expect("a built-in robot").expect("it can be read")
 }
 
 /// A small generator of its own: the test must not lean on the code under test.

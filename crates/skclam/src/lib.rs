@@ -3,6 +3,8 @@
 //! Begin with [`pipeline::run`]: a [`dataset::Dataset`] and a [`pipeline::Config`] in, a [`pipeline::Outcome`] out. The
 //! crates below it are re-exported: [`geometry`], [`kinematics`], [`rig`], [`features`], [`calibration`], [`mapping`],
 //! [`simulation`] and [`recordings`].
+//!
+#![doc = include_str!("../README.md")]
 
 pub mod camera_frames;
 pub mod compensation;

@@ -6,6 +6,7 @@
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::progress::{Progress, Stage};
+use image::ImageFormat;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 use skclam_geometry::{Isometry3, PinholeCamera};
@@ -101,12 +102,8 @@ fn images<W: Write + Seek>(
     at: usize,
     time_s: f64,
 ) -> Result<(), RobotRecordingError> {
-    let record = &dataset.records[at];
-    let path = dataset.folder.join(&record.color);
-    let bytes = skclam_files::inside(&dataset.folder, &record.color)
-        .and_then(|path| skclam_files::read(path, skclam_files::Kind::Image))
-        .map_err(|source| DatasetError::Io { path: path.clone(), source })?;
-    let format = if bytes.starts_with(b"\x89PNG") { "rgb8; png compressed" } else { "rgb8; jpeg compressed bgr8" };
+    let (format, bytes) = dataset.color_file(at)?;
+    let format = if format == ImageFormat::Png { "rgb8; png compressed" } else { "rgb8; jpeg compressed bgr8" };
     let mut message = Cdr::header(time_s, COLOR_FRAME);
     message.string(format);
     message.sequence(&bytes);

@@ -1,6 +1,6 @@
-//! The virtual cell as a data set on disk: images, postures, the nominal rig, and the truth beside them.
+//! The virtual cell as a data set, on disk with the truth beside it or in memory.
 
-use crate::dataset::{PostureRecord, write_depth_png, write_postures};
+use crate::dataset::{DepthCounts, Frame, PostureRecord, write_depth_png, write_postures};
 use crate::output::StagedFolder;
 use crate::pipeline::RunError;
 use crate::progress::{Progress, Stage};
@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
 use skclam_mapping::{PointCloud, TriangleMesh, write_ply};
 use skclam_rig::{PostureState, Rig};
-use skclam_simulation::{Capture, Simulation};
+use skclam_simulation::{Capture, Simulation, depth_counts};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -58,6 +58,28 @@ pub fn write_virtual_cell(
     staged.write("truth/rig.toml", simulation.true_rig().to_toml()?)?;
     staged.write("truth/trajectory.txt", trajectory_text(&poses))?;
     write_scene(simulation, &staged.path("truth/scene.ply")?)
+}
+
+/// Renders every posture into memory, as a program has it that drives arm and camera itself; the times are those of
+/// [`write_virtual_cell`].
+///
+/// # Errors
+/// What the simulation refuses, and the wish to stop.
+pub fn render_frames(simulation: &Simulation, progress: &dyn Progress) -> Result<Vec<Frame>, RunError> {
+    let count = simulation.postures().len();
+    progress.begin(Stage::Simulate, count as u64);
+    let frame = |number: usize| {
+        if progress.stop_requested() {
+            return Err(RunError::Interrupted);
+        }
+        let capture = simulation.capture(number)?;
+        let depth = capture.depth.as_ref().zip(simulation.nominal_rig().depth.as_ref()).and_then(|(depth, camera)| {
+            DepthCounts::from_raw(depth.width(), depth.height(), depth_counts(depth, camera.unit_m))
+        });
+        progress.step();
+        Ok(Frame { posture: capture.posture.at(Some(number as f64)), color: capture.color.into(), depth })
+    };
+    (0..count).into_par_iter().map(frame).collect()
 }
 
 fn write_images(capture: &Capture, rig: &Rig, staged: &StagedFolder) -> Result<PostureRecord, RunError> {

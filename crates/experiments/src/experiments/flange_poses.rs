@@ -19,7 +19,7 @@ use skclam::progress::Silent;
 use skclam::rig::{PostureState, Rig};
 use skclam::trajectory::read_trajectory;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Mount errors with flange poses of a wrong arm.
 #[derive(Args)]
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// The best mount there is, and those that were found with the default and with `--free mount`.
 fn both(cell: &Cell, no_depth: bool) -> Result<(Isometry3<f64>, Judged, Judged)> {
     let dataset = controllers_view(cell, no_depth)?;
-    let poses = read_trajectory(&cell.dataset.folder.join("truth/trajectory.txt"))?;
+    let poses = read_trajectory(&cell.dataset.path_of(Path::new("truth/trajectory.txt")))?;
     let pairs = dataset.records.iter().zip(&poses).map(|(record, pose)| match &record.posture.state {
         PostureState::FlangePose(flange) => Ok(flange.inverse() * pose.base_from_camera),
         PostureState::Joints(_) => anyhow::bail!("joint values where flange poses are wanted"),

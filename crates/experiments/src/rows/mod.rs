@@ -88,7 +88,7 @@ impl Variant {
 /// An image of the cell under its name in the new folder, without a copy where the file system can: a data set names no
 /// files outside of it.
 fn same_image(cell: &Cell, file: &Path, staged: &StagedFolder) -> Result<()> {
-    let (from, to) = (cell.dataset.folder.join(file), staged.path(file)?);
+    let (from, to) = (cell.dataset.path_of(file), staged.path(file)?);
     if !to.exists() && std::fs::hard_link(&from, &to).is_err() {
         std::fs::copy(&from, &to)?;
     }
@@ -133,9 +133,10 @@ pub fn all() -> Vec<Row> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use skclam::dataset::Folder;
     use skclam::rig::builtin_rig;
     use skclam::simulation::{PerturbationSigmas, perturb_random};
-    use std::path::PathBuf;
+    use std::sync::Arc;
 
     /// A cell without images: a walk of 60 postures.
     fn cell() -> Cell {
@@ -149,7 +150,7 @@ mod tests {
         });
         let mut records: Vec<PostureRecord> = records.collect();
         skclam::rig::fill_joint_rates(records.iter_mut().map(|record| &mut record.posture));
-        let dataset = Dataset { folder: PathBuf::from("."), rig: nominal, records, self_filter: None };
+        let dataset = Dataset::from_source(nominal, records, Arc::new(Folder(".".into()))).unwrap();
         Cell { dataset, truth }
     }
 

@@ -92,6 +92,12 @@ pub enum DatasetError {
         /// Line, counted from 1 (the header).
         line: usize,
     },
+    /// Postures or images that are no files do not fit each other or the rig.
+    #[error("images in memory: {problem}")]
+    Frames {
+        /// What is wrong, what was expected.
+        problem: String,
+    },
     /// An image is missing, truncated, or of a kind that is not read.
     #[error("{}: {problem}", path.display())]
     Image {

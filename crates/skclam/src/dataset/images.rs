@@ -1,7 +1,7 @@
 //! Decoding of colour and depth images, checked against the rig's cameras before any pixel is decoded.
 
 use super::{DatasetError, jpeg, png};
-use image::{DynamicImage, GrayImage, ImageFormat, ImageReader, RgbImage};
+use image::{DynamicImage, ImageFormat, ImageReader};
 use skclam_files::{Kind, inside, open, read};
 use skclam_geometry::{DepthCamera, DepthImage, PinholeCamera};
 use std::fs::File;
@@ -54,7 +54,12 @@ pub(super) fn check_header(
     fits(&path, size, camera, table)
 }
 
-fn fits(path: &Path, size: (u32, u32), camera: &PinholeCamera, table: &'static str) -> Result<(), DatasetError> {
+pub(super) fn fits(
+    path: &Path,
+    size: (u32, u32),
+    camera: &PinholeCamera,
+    table: &'static str,
+) -> Result<(), DatasetError> {
     let (got_width, got_height) = size;
     if size == (camera.width, camera.height) {
         return Ok(());
@@ -69,7 +74,7 @@ fn fits(path: &Path, size: (u32, u32), camera: &PinholeCamera, table: &'static s
     })
 }
 
-fn decode(
+pub(super) fn decode(
     folder: &Path,
     name: &Path,
     camera: &PinholeCamera,
@@ -92,17 +97,8 @@ fn decode(
     }
 }
 
-pub(super) fn read_color(folder: &Path, name: &Path, camera: &PinholeCamera) -> Result<RgbImage, DatasetError> {
-    Ok(decode(folder, name, camera, "color")?.into_rgb8())
-}
-
-pub(super) fn read_gray(folder: &Path, name: &Path, camera: &PinholeCamera) -> Result<GrayImage, DatasetError> {
-    Ok(decode(folder, name, camera, "color")?.into_luma8())
-}
-
-pub(super) fn read_depth(folder: &Path, name: &Path, camera: &DepthCamera) -> Result<DepthImage, DatasetError> {
-    let path = &folder.join(name);
-    let decoded = decode(folder, name, &camera.camera, "depth")?;
+/// Metres of a depth image's counts.
+pub(super) fn depth(path: &Path, decoded: DynamicImage, camera: &DepthCamera) -> Result<DepthImage, DatasetError> {
     let DynamicImage::ImageLuma16(counts) = decoded else {
         let found = format!("{:?}", decoded.color());
         return Err(problem(

@@ -1,36 +1,43 @@
-//! A dataset is a folder: `rig.toml`, `postures.csv`, colour images and depth images.
+//! A dataset is a rig, postures, and the colour and depth images taken there.
 //!
-//! Opening one reads the rig and the table and looks at the header of every image, so that what is wrong with a folder
-//! is reported before any work is done. Pixels are decoded when they are asked for.
+//! Most are folders (`rig.toml`, `postures.csv`, images). Opening one reads the rig and the table and looks at the
+//! header of every image, so that what is wrong with a folder is reported before any work is done. Pixels are decoded
+//! when they are asked for. [`Dataset::from_frames`] makes one of images in memory, [`Dataset::from_source`] of whatever
+//! is a [`FrameSource`].
 
 mod error;
+mod frames;
 mod images;
 mod jpeg;
 mod jpeg_blocks;
 mod png;
 mod postures;
 mod self_filter;
+mod source;
 
 pub use error::DatasetError;
+pub use frames::{DepthCounts, Frame, Frames};
 pub use images::write_depth_png;
 pub use postures::{PostureRecord, read_postures, write_postures};
 pub(crate) use postures::{csv_problem, joint_column};
 pub use self_filter::{SelfFilter, SelfFilterOptions};
+pub use source::{Folder, FrameSource};
 
-use image::{GrayImage, RgbImage};
-use skclam_geometry::DepthImage;
+use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
+use skclam_geometry::{DepthImage, PinholeCamera};
 use skclam_kinematics::JointKind;
 use skclam_rig::{PostureState, Rig};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-/// A folder with a recording: nominal rig, postures, images.
+/// A recording: nominal rig, postures, images.
 #[derive(Debug, Clone)]
 pub struct Dataset {
-    /// The folder.
-    pub folder: PathBuf,
+    /// Gives the images that records and rig name.
+    pub source: Arc<dyn FrameSource>,
     /// The nominal rig.
     pub rig: Rig,
-    /// One record a posture, in the order of the file.
+    /// One record a posture, in the order of their indices.
     pub records: Vec<PostureRecord>,
     /// Takes the robot's own body out of the depth images; `None`: they are as they were recorded.
     pub self_filter: Option<SelfFilter>,
@@ -60,9 +67,43 @@ impl Dataset {
             return Err(DatasetError::Missing { path: folder.to_owned(), file: "postures.csv" });
         }
         let records = read_postures(&table)?;
-        let dataset = Dataset { folder: folder.to_owned(), rig, records, self_filter: None };
-        dataset.check()?;
+        let source = Arc::new(Folder(folder.to_owned()));
+        let dataset = Dataset { source, rig, records, self_filter: None };
+        dataset.check_folder(folder)?;
         Ok(dataset)
+    }
+
+    /// A dataset of images in memory. Joint rates are taken from neighbouring postures, as of a table, where no posture
+    /// has any. Nothing is written.
+    ///
+    /// # Errors
+    /// Fewer than two postures, indices that do not rise, postures that do not fit the rig, numbers that are not finite,
+    /// images of another size than the rig's cameras, depth images without a depth camera, a mask that the rig names and
+    /// that is not given.
+    pub fn from_frames(rig: Rig, frames: impl Into<Frames>) -> Result<Dataset, DatasetError> {
+        frames.into().into_dataset(rig)
+    }
+
+    /// A dataset whose images come from elsewhere; `records` name them. The images are looked at when they are asked
+    /// for.
+    ///
+    /// # Errors
+    /// As of [`Dataset::from_frames`], of the postures alone.
+    pub fn from_source(
+        rig: Rig,
+        records: Vec<PostureRecord>,
+        source: Arc<dyn FrameSource>,
+    ) -> Result<Dataset, DatasetError> {
+        if records.len() < 2 {
+            return Err(DatasetError::TooFewPostures { path: source.place().to_owned(), got: records.len() });
+        }
+        frames::check_postures(&records, &rig)?;
+        Ok(Dataset { source, rig, records, self_filter: None })
+    }
+
+    /// Where an image is, for messages.
+    pub fn path_of(&self, name: &Path) -> PathBuf {
+        self.source.place().join(name)
     }
 
     /// Number of postures.
@@ -82,20 +123,35 @@ impl Dataset {
 
     /// Decodes the colour image of a posture.
     pub fn color(&self, index: usize) -> Result<RgbImage, DatasetError> {
-        images::read_color(&self.folder, &self.records[index].color, &self.rig.color)
+        Ok(self.image(&self.records[index].color, &self.rig.color, "color")?.into_rgb8())
     }
 
     /// Decodes the colour image of a posture as grey values.
     pub fn gray(&self, index: usize) -> Result<GrayImage, DatasetError> {
-        images::read_gray(&self.folder, &self.records[index].color, &self.rig.color)
+        Ok(self.image(&self.records[index].color, &self.rig.color, "color")?.into_luma8())
+    }
+
+    /// The colour image of a posture as a JPEG or PNG file, and which of them: the file that it came from, or a PNG.
+    pub fn color_file(&self, index: usize) -> Result<(ImageFormat, Vec<u8>), DatasetError> {
+        let name = &self.records[index].color;
+        if let Some(bytes) = self.source.file(name)?
+            && let Ok(format @ (ImageFormat::Jpeg | ImageFormat::Png)) = image::guess_format(&bytes)
+        {
+            return Ok((format, bytes));
+        }
+        let mut png = std::io::Cursor::new(Vec::new());
+        let wrong =
+            |error: image::ImageError| DatasetError::Image { path: self.path_of(name), problem: error.to_string() };
+        self.color(index)?.write_to(&mut png, ImageFormat::Png).map_err(wrong)?;
+        Ok((ImageFormat::Png, png.into_inner()))
     }
 
     /// Decodes the depth image of a posture, without the robot's body where a filter is set; `None` where the posture
     /// has none.
     pub fn depth(&self, index: usize) -> Result<Option<DepthImage>, DatasetError> {
         let record = &self.records[index];
-        let (Some(path), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };
-        let depth = images::read_depth(&self.folder, path, camera)?;
+        let (Some(name), Some(camera)) = (&record.depth, &self.rig.depth) else { return Ok(None) };
+        let depth = images::depth(&self.path_of(name), self.image(name, &camera.camera, "depth")?, camera)?;
         match &self.self_filter {
             None => Ok(Some(depth)),
             Some(filter) => filter.apply(&depth, camera, &self.rig, &record.posture).map(Some),
@@ -105,19 +161,24 @@ impl Dataset {
     /// The mask of the colour camera that the rig names: 0 where it sees what moves with it.
     pub fn color_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
         let Some(name) = &self.rig.color_mask else { return Ok(None) };
-        images::read_gray(&self.folder, Path::new(name), &self.rig.color).map(Some)
+        Ok(Some(self.image(Path::new(name), &self.rig.color, "color")?.into_luma8()))
     }
 
     /// The mask of the depth camera that the rig names.
     pub fn depth_mask(&self) -> Result<Option<GrayImage>, DatasetError> {
-        match (&self.rig.depth_mask, &self.rig.depth) {
-            (Some(name), Some(depth)) => images::read_gray(&self.folder, Path::new(name), &depth.camera).map(Some),
-            _ => Ok(None),
-        }
+        let (Some(name), Some(depth)) = (&self.rig.depth_mask, &self.rig.depth) else { return Ok(None) };
+        Ok(Some(self.image(Path::new(name), &depth.camera, "depth")?.into_luma8()))
     }
 
-    fn check(&self) -> Result<(), DatasetError> {
-        let table = self.folder.join("postures.csv");
+    /// An image of the source, which has the camera's size, whoever made the source.
+    fn image(&self, name: &Path, camera: &PinholeCamera, table: &'static str) -> Result<DynamicImage, DatasetError> {
+        let image = self.source.image(name, camera, table)?;
+        images::fits(&self.path_of(name), (image.width(), image.height()), camera, table)?;
+        Ok(image)
+    }
+
+    fn check_folder(&self, folder: &Path) -> Result<(), DatasetError> {
+        let table = folder.join("postures.csv");
         if self.records.len() < 2 {
             return Err(DatasetError::TooFewPostures { path: table, got: self.records.len() });
         }
@@ -125,11 +186,11 @@ impl Dataset {
         for (row, record) in self.records.iter().enumerate() {
             for image in [Some(&record.color), record.depth.as_ref()].into_iter().flatten() {
                 // Whether it can be read is found out when its header is.
-                let Err(error) = skclam_files::inside(&self.folder, image) else { continue };
+                let Err(error) = skclam_files::inside(folder, image) else { continue };
                 let index = record.posture.index;
                 let problem = match error.kind() {
                     std::io::ErrorKind::NotFound => {
-                        let (image, folder) = (image.display(), self.folder.display());
+                        let (image, folder) = (image.display(), folder.display());
                         format!("posture {index}: {image} is not there; paths are relative to {folder}")
                     }
                     _ => format!("posture {index}: {error}"),
@@ -141,12 +202,12 @@ impl Dataset {
                 line: row + 2,
                 source,
             })?;
-            images::check_header(&self.folder, &record.color, &self.rig.color, "color")?;
+            images::check_header(folder, &record.color, &self.rig.color, "color")?;
             if let Some(depth) = &record.depth {
                 let Some(camera) = &self.rig.depth else {
                     return Err(DatasetError::DepthWithoutCamera { path: table, line: row + 2 });
                 };
-                images::check_header(&self.folder, depth, &camera.camera, "depth")?;
+                images::check_header(folder, depth, &camera.camera, "depth")?;
             }
         }
         Ok(())

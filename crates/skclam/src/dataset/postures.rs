@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 pub struct PostureRecord {
     /// Joints or flange pose.
     pub posture: Posture,
-    /// Colour image, relative to the dataset's folder.
+    /// Name of the colour image: in a folder the path relative to it.
     pub color: PathBuf,
-    /// Depth image, relative to the dataset's folder.
+    /// Name of the depth image.
     pub depth: Option<PathBuf>,
 }
 

@@ -1,8 +1,9 @@
 //! Everything that can be set in a run. The values that were in force are in every `summary.json`.
 
-use super::{HeldOutOptions, Pairing, PairingOptions, Search};
+use super::{HeldOutOptions, Pairing, PairingOptions, RunError, Search};
 use serde::{Deserialize, Serialize};
 use skclam_calibration::{BundleOptions, Free, NelderMeadOptions, PairwiseOptions};
+use skclam_features::akaze::Threading;
 use skclam_features::{
     AkazeOptions, BoardOptions, FilterOptions, MaskOptions, RansacOptions, RefineOptions, TrackOptions,
 };
@@ -51,7 +52,7 @@ pub struct Config {
     /// `theta_th` of Eq. (6), degrees: how far a match may be from the epipolar line that the nominal arm predicts.
     /// `None`: no gate.
     pub epipolar_gate_deg: Option<f64>,
-    /// The filters of section 3.2; the gate's pixels follow from `epipolar_gate_deg`.
+    /// The filters of section 3.2; the gate's pixels follow from `epipolar_gate_deg`, RANSAC's seed from `seed`.
     pub filter: FilterOptions,
     /// Looks for what moves with the camera (gripper, cable) and leaves it out; `None`: not.
     pub mask: Option<MaskOptions>,
@@ -68,17 +69,17 @@ pub struct Config {
     pub board_use: BoardUse,
     /// Which estimator.
     pub estimator: Estimator,
-    /// Settings of Nelder-Mead; `free` above comes first.
+    /// Settings of Nelder-Mead; what is free is said above, and [`Config::check`] refuses another `free` here.
     pub nelder_mead: NelderMeadOptions,
-    /// Settings of the pairwise least squares; `free` above comes first.
+    /// Settings of the pairwise least squares; `free` as above.
     pub pairwise: PairwiseOptions,
-    /// Settings of the bundle adjustment; `free` above comes first.
+    /// Settings of the bundle adjustment; `free` as above.
     pub bundle: BundleOptions,
     /// Judges the calibration on postures that it was not fitted to; `None`: not.
     pub held_out: Option<HeldOutOptions>,
     /// Edge of the map's voxels, metres; `None`: what the depth camera resolves at the range at which it was used.
     pub voxel_m: Option<f64>,
-    /// The map; `voxel_m` above comes first.
+    /// The map; its voxels are set by `voxel_m` above.
     pub cloud: CloudOptions,
 }
 
@@ -135,7 +136,8 @@ impl Config {
     /// taken.
     ///
     /// # Errors
-    /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting.
+    /// Text that is no JSON, unknown keys, values of another type, numbers that are too large for their setting, and
+    /// what [`Config::check`] refuses.
     pub fn overlaid(&self, text: &str) -> Result<Config, serde_json::Error> {
         let mut given: serde_json::Value = serde_json::from_str(text)?;
         if let Some(inner) = given.get_mut("configuration") {
@@ -145,11 +147,40 @@ impl Config {
         overlay(&mut merged, given);
         let config: Config = serde_json::from_value(merged.clone())?;
         // A number beyond a setting's precision becomes infinite, which JSON has no word for.
-        match overflowing(&merged, &serde_json::to_value(&config)?) {
-            None => Ok(config),
-            Some((key, number)) => {
-                Err(serde::de::Error::custom(format!("{key}: {number} is too large; a finite number is needed")))
-            }
+        if let Some((key, number)) = overflowing(&merged, &serde_json::to_value(&config)?) {
+            return Err(serde::de::Error::custom(format!("{key}: {number} is too large; a finite number is needed")));
+        }
+        config.check().map_err(serde::de::Error::custom)?;
+        Ok(config)
+    }
+
+    /// Refuses settings of single modules that the run's own settings override: they would be without effect.
+    ///
+    /// # Errors
+    /// [`RunError::Overridden`] for one that is neither its module's default nor the value in force.
+    pub fn check(&self) -> Result<(), RunError> {
+        let free =
+            |key: &'static str, given: &Free, default: Free| (key, "free", *given != default && *given != self.free);
+        let seed = self.filter.ransac.as_ref().map(|ransac| ransac.seed);
+        let (default_seed, threading) = (RansacOptions::default().seed, self.akaze.threading);
+        let voxel_m = self.cloud.voxel_m;
+        let settings = [
+            free("nelder_mead.free", &self.nelder_mead.free, NelderMeadOptions::default().free),
+            free("pairwise.free", &self.pairwise.free, PairwiseOptions::default().free),
+            free("bundle.free", &self.bundle.free, BundleOptions::default().free),
+            ("filter.ransac.seed", "seed", seed.is_some_and(|seed| seed != default_seed && seed != self.seed)),
+            ("filter.gate_px", "epipolar_gate_deg", self.filter.gate_px != FilterOptions::default().gate_px),
+            ("cloud.voxel_m", "voxel_m", voxel_m != CloudOptions::default().voxel_m && voxel_m != self.voxel_m),
+            // One image a thread is quicker than bands of one image, and the result is the same.
+            (
+                "akaze.threading",
+                "the number of threads",
+                threading != AkazeOptions::default().threading && threading != Threading::Caller,
+            ),
+        ];
+        match settings.into_iter().find(|(_, _, overridden)| *overridden) {
+            Some((key, by, _)) => Err(RunError::Overridden { key, by }),
+            None => Ok(()),
         }
     }
 
@@ -223,5 +254,26 @@ mod tests {
             format!(r#"{{"program": "skclam", "configuration": {}}}"#, serde_json::to_string(&expected).unwrap());
         assert_eq!(Config::default().overlaid(&summary).unwrap(), expected);
         assert!(Config::default().overlaid(r#"{"filter": {"bets": 50}}"#).unwrap_err().to_string().contains("bets"));
+    }
+
+    #[test]
+    fn settings_without_effect_are_refused_by_name() {
+        for config in [Config::default(), Config::paper()] {
+            config.check().unwrap();
+        }
+        let wrong = [
+            (r#"{"bundle": {"free": "all"}}"#, "bundle.free"),
+            (r#"{"pairwise": {"free": "all"}}"#, "pairwise.free"),
+            (r#"{"nelder_mead": {"free": "all"}}"#, "nelder_mead.free"),
+            (r#"{"filter": {"ransac": {"seed": 77}}}"#, "filter.ransac.seed"),
+            (r#"{"filter": {"gate_px": 50.0}}"#, "filter.gate_px"),
+            (r#"{"cloud": {"voxel_m": 0.5}}"#, "cloud.voxel_m"),
+        ];
+        for (text, key) in wrong {
+            let message = Config::paper().overlaid(text).unwrap_err().to_string();
+            assert!(message.contains(key), "{text}: {message}");
+        }
+        let same = Config::default().overlaid(r#"{"voxel_m": 0.5, "cloud": {"voxel_m": 0.5}}"#).unwrap();
+        assert_eq!(same.voxel_m, Some(0.5));
     }
 }

@@ -37,6 +37,14 @@ pub enum RunError {
     /// The summary could not be written as JSON.
     #[error("summary: {0}")]
     Json(#[from] serde_json::Error),
+    /// A setting of one module that a setting of the run overrides.
+    #[error("configuration: {key} has no effect, since {by} decides; leave {key} at its default and set {by}")]
+    Overridden {
+        /// The setting without effect.
+        key: &'static str,
+        /// What is in force in its place.
+        by: &'static str,
+    },
     /// No image pair is left with enough matches.
     #[error(
         "no pair of images has enough matches: {keypoints} keypoints in {images} images, {candidates} candidates, {after_ratio} after the ratio test, {matches} after all filters. \

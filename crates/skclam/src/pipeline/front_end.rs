@@ -23,6 +23,7 @@ pub(super) struct FrontEnd {
 
 /// Features, board, matches and tracks: section 3.2 and the rig's board. Fails where nothing is left.
 pub(super) fn front_end(dataset: &Dataset, config: &Config, progress: &dyn Progress) -> Result<FrontEnd, RunError> {
+    config.check()?;
     let mut images = extract_features(dataset, config, progress)?;
     // The other estimators use pairs alone.
     let boards = match config.estimator {

@@ -108,7 +108,7 @@ impl ReportData {
         let images = pair_images(dataset, data, &calibration.model, &residuals, &per_match)?;
         Ok(ReportData {
             format: FORMAT,
-            dataset: dataset.folder.display().to_string(),
+            dataset: dataset.source.place().display().to_string(),
             image_size: [dataset.rig.color.width, dataset.rig.color.height],
             joints: joints
                 .iter()

@@ -117,7 +117,7 @@ fn small(dataset: &Dataset, posture: usize) -> Result<EmbeddedImage, RunError> {
     let image = resize(&image, along(width), along(height), FilterType::Triangle);
     let mut jpeg = Vec::new();
     JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(&image).map_err(|error| DatasetError::Image {
-        path: dataset.folder.join(&dataset.records[posture].color),
+        path: dataset.path_of(&dataset.records[posture].color),
         problem: error.to_string(),
     })?;
     Ok(EmbeddedImage { width: image.width(), height: image.height(), jpeg: Packed::of_u8(&jpeg) })

@@ -221,7 +221,8 @@ pub fn record_result<W: Write + Seek>(
                 writer.message(&format!("{prefix}/camera/residuals"), time, &annotations)?;
             }
         }
-        let (format, data) = color_file(dataset, position)?;
+        let (format, data) = dataset.color_file(position)?;
+        let format = if format == image::ImageFormat::Jpeg { "jpeg" } else { "png" };
         let image = messages::compressed_image(time, &options.camera_frame, format, data);
         writer.message("/camera/image", time, &image)?;
         if let (Some(depth), Some(camera)) = (dataset.depth(position)?, &calibrated.depth) {
@@ -276,25 +277,6 @@ fn frames(
         edges.push(Edge { parent: camera, child, parent_from_child: depth.color_from_depth });
     }
     Ok(edges)
-}
-
-/// The colour image as a file that viewers decode: its own bytes if it is JPEG or PNG, else as PNG.
-fn color_file(dataset: &Dataset, position: usize) -> Result<(&'static str, Vec<u8>), ResultRecordingError> {
-    let path = dataset.folder.join(&dataset.records[position].color);
-    let wrong = |problem: String| ResultRecordingError::File { path: path.clone(), problem };
-    let bytes = skclam_files::inside(&dataset.folder, &dataset.records[position].color)
-        .and_then(|path| skclam_files::read(path, skclam_files::Kind::Image))
-        .map_err(|error| wrong(error.to_string()))?;
-    Ok(match image::guess_format(&bytes) {
-        Ok(image::ImageFormat::Jpeg) => ("jpeg", bytes),
-        Ok(image::ImageFormat::Png) => ("png", bytes),
-        _ => {
-            let mut png = std::io::Cursor::new(Vec::new());
-            let decoded = dataset.color(position)?;
-            decoded.write_to(&mut png, image::ImageFormat::Png).map_err(|error| wrong(error.to_string()))?;
-            ("png", png.into_inner())
-        }
-    })
 }
 
 /// The summary and its text; `None`, with a reason, where there is none.
