@@ -150,7 +150,7 @@ impl Config {
         if let Some((key, number)) = overflowing(&merged, &serde_json::to_value(&config)?) {
             return Err(serde::de::Error::custom(format!("{key}: {number} is too large; a finite number is needed")));
         }
-        config.check().map_err(serde::de::Error::custom)?;
+        config.check().map_err(<serde_json::Error as serde::de::Error>::custom)?;
         Ok(config)
     }
 
