@@ -148,11 +148,17 @@ pub(super) fn check_postures(records: &[PostureRecord], rig: &Rig) -> Result<(),
             PostureState::Joints(values) => values.clone(),
             PostureState::FlangePose(pose) => pose.to_homogeneous().iter().copied().collect(),
         };
-        let also = posture.timestamp_s.iter().chain(&posture.joint_rates);
-        if let Some(value) = values.iter().chain(also).find(|value| !value.is_finite()) {
+        // Rates that follow from neighbours are wrong where these are: they are looked at last.
+        if let Some(value) = values.iter().chain(&posture.timestamp_s).find(|value| !value.is_finite()) {
             return Err(problem(format!("posture {index} has the number {value}; finite numbers are needed")));
         }
         rig.base_from_color(posture).map_err(|error| problem(error.to_string()))?;
     }
-    Ok(())
+    let rate = |record: &PostureRecord| record.posture.joint_rates.iter().copied().find(|rate| !rate.is_finite());
+    match records.iter().find_map(|record| Some((record.posture.index, rate(record)?))) {
+        Some((index, rate)) => {
+            Err(problem(format!("posture {index} has the joint rate {rate}; finite numbers are needed")))
+        }
+        None => Ok(()),
+    }
 }
