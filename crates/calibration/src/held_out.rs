@@ -607,7 +607,7 @@ mod tests {
     }
 
     #[test]
-    fn folds_scatter_more_than_claimed_where_positions_fraction_errors() {
+    fn folds_scatter_more_than_claimed_where_positions_have_errors_in_common() {
         let [ratio, factor] = jackknifed(6e-4, 5e-5, 0..3);
         assert!(ratio > 2.0 && factor > 2.0, "{ratio} {factor}");
     }

@@ -39,10 +39,12 @@ const DEPTHS_OF_A_MEAN: usize = 3;
 /// The mean depth residual of a track is taken for a bias beyond so many of its sigmas.
 const BIASED_TRACK_SIGMAS: f64 = 2.0;
 
-/// Removes the depths of tracks in which they are off together. A feature on the edge of something near, or on a ridge, is seen by the
-/// colour camera where the surface is nearest, while the window of the depth image reaches over the edge: its depths are too large in
-/// every image, by less than the noise of one of them. Left in, they stretch the world by a few hundredths of a percent; only the mean over a
-/// track shows them. The sigma of such means is taken from their own median, so that a depth camera whose errors are all alike keeps its depths.
+/// Removes the depths of tracks in which they are off together. A feature on the edge of something near, or on a ridge, is
+/// seen by the colour camera where the surface is nearest, while the window of the depth image reaches over the edge: its
+/// depths are too large in every image, by less than the noise of one of them. Only the mean over a track shows them.
+/// The estimated scale of virtual cells is 0.02 % too large even so (`benchmarks/truth`): it has a further cause.
+/// The sigma of such means is taken from their own median, so that a depth
+/// camera whose errors are all alike keeps its depths.
 pub(crate) fn remove_biased_depths(observations: &mut Observations, sizes: &[ResidualSize]) {
     let mean_of = |track: usize| {
         let depths = sizes[observations.offsets[track]..observations.offsets[track + 1]].iter().filter_map(|s| s.depth);
@@ -84,4 +86,57 @@ pub(crate) fn outlier_postures(fits: &[PostureFit]) -> Vec<usize> {
     let mut postures: Vec<usize> = bad.into_iter().map(|(_, posture)| posture).collect();
     postures.sort_unstable();
     postures
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::observations::Observation;
+    use crate::synthetic::{normal, seeded};
+    use nalgebra::Vector2;
+    use skclam_geometry::Pixel;
+
+    /// Tracks of six observations whose depth residuals are normal, and in the tracks named larger by 1.5 sigmas.
+    fn tracks(count: usize, biased: &dyn Fn(usize) -> bool) -> (Observations, Vec<ResidualSize>) {
+        let mut rng = seeded(3);
+        let mut all = Observations { offsets: vec![0], postures: 6, ..Default::default() };
+        let mut sizes = Vec::new();
+        for track in 0..count {
+            for posture in 0..6 {
+                all.observations.push(Observation {
+                    posture,
+                    depth_m: 1.0,
+                    depth_slope: [0.0; 2],
+                    pixel: Pixel::origin(),
+                    information: [1.0, 0.0, 1.0],
+                    pixel_weight: 1.0,
+                    depth_weight: 1.0,
+                });
+                let depth = normal(&mut rng) + if biased(track) { 1.5 } else { 0.0 };
+                let (residual_px, pixel, pixel_dof) = (Vector2::zeros(), 0.0, 1.5);
+                sizes.push(ResidualSize { posture, residual_px, pixel, pixel_dof, depth: Some((depth, 1.0)) });
+            }
+            all.offsets.push(all.observations.len());
+        }
+        (all, sizes)
+    }
+
+    /// Part of the tracks whose depths are left.
+    fn left(all: &Observations, of: &dyn Fn(usize) -> bool) -> f64 {
+        let tracks: Vec<usize> = (0..all.track_count()).filter(|&track| of(track)).collect();
+        tracks.iter().filter(|&&track| all.track(track)[0].depth_m > 0.0).count() as f64 / tracks.len() as f64
+    }
+
+    #[test]
+    fn depths_that_are_off_together_are_removed_and_others_kept() {
+        let at_edges = |track: usize| track.is_multiple_of(10);
+        let (mut all, sizes) = tracks(2000, &at_edges);
+        remove_biased_depths(&mut all, &sizes);
+        let (at_edge, elsewhere) = (left(&all, &at_edges), left(&all, &|track| !at_edges(track)));
+        assert!(at_edge < 0.15 && elsewhere > 0.93, "{at_edge} {elsewhere}");
+        // Where all errors are alike nothing can be distinguished, and nothing is lost but a few.
+        let (mut alike, sizes) = tracks(2000, &|_| true);
+        remove_biased_depths(&mut alike, &sizes);
+        assert!(left(&alike, &|_| true) > 0.85, "{}", left(&alike, &|_| true));
+    }
 }

@@ -23,7 +23,7 @@ const CELLS_ACROSS: u32 = 16;
 const MIN_RESIDUALS: usize = 8;
 
 /// Residuals before and after. An endpoint of a match is one of its two pixels; each has a distance to its line. Where
-/// there are no matches, an endpoint is a observation of a board's corner or of a scene point, and its distance is to
+/// there are no matches, an endpoint is an observation of a board's corner or of a scene point, and its distance is to
 /// where that should appear.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualData {
